@@ -7,11 +7,12 @@ import argparse
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from time import monotonic
 from typing import TypeAlias
 
+from flows.report.table import Table
 from tests.benchmarks.machine import commit
 
 
@@ -36,19 +37,6 @@ class Promise:
 Test: TypeAlias = Callable[[Scale], Sequence[Promise]]
 
 
-def table(promises: Iterable[Promise]) -> str:
-    """Return a Markdown table.
-
-    >>> print(table([Promise("SIGKILL x3", "0 lost", "0 lost", passed=True)]))
-    | test | result | bound | passed |
-    |---|---|---|---|
-    | SIGKILL x3 | 0 lost | 0 lost | yes |
-    """
-    rows = [(each.claim, each.result, each.bound, "yes" if each.passed else "NO") for each in promises]
-    lines = [f"| {' | '.join(row)} |" for row in [("test", "result", "bound", "passed"), *rows]]
-    return "\n".join([lines[0], "|---|---|---|---|", *lines[1:]])
-
-
 def main() -> int:
     """Run all tests, or the subjects given."""
     from tests.chaos import events, recorder
@@ -69,8 +57,10 @@ def main() -> int:
             line = f"{word} ({monotonic() - began:.0f} s)  {promise.claim}: {promise.result}\n"
             sys.stderr.write(line)
             promises.append(promise)
+    rows = [(each.claim, each.result, each.bound, "yes" if each.passed else "NO") for each in promises]
+    table = Table(["test", "result", "bound", "passed"], rows)
     cores = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-    sys.stdout.write(f"seed {scale.seed}, commit {commit()}\n{cores}\n\n{table(promises)}\n")
+    sys.stdout.write(f"seed {scale.seed}, commit {commit()}\n{cores}\n\n{table.markdown()}\n")
     return 0 if all(each.passed for each in promises) else 1
 
 
