@@ -24,7 +24,7 @@ test-cluster:  ## replay on a Dask cluster on this machine and kill its parts: a
 	@deploy/prepare test
 	.venv/bin/python -m pytest -m cluster
 
-chaos:  ## test crash safety: kills of processes, full disks; prints a table: six minutes
+chaos:  ## test crash safety: kills of processes; prints a table: six minutes
 	@deploy/prepare test
 	.venv/bin/python -m tests.chaos.run
 

@@ -42,10 +42,6 @@ class System:
         rows = map(str.split, lines)
         return [Delivery(int(first), identifier) for first, identifier in rows]
 
-    def missing(self) -> set[int]:
-        """Return the times (ns) of the events that the consumer does not have."""
-        return self.made() - {each.time for each in self.delivered()}
-
     def finish(self) -> tuple[int, int, int]:
         """End the run, and send the rest in another; return events made, lost, and numbers used twice."""
         self.rig.stop(SIGTERM)
@@ -58,7 +54,8 @@ class System:
         by_number = dict[str, set[int]]()
         for each in self.delivered():
             by_number.setdefault(each.identifier, set()).add(each.time)
-        return len(made), len(made & self.missing()), sum(len(times) > 1 for times in by_number.values())
+        lost = made - {each.time for each in self.delivered()}
+        return len(made), len(lost), sum(len(times) > 1 for times in by_number.values())
 
 
 def kills(scale: Scale) -> Sequence[Promise]:

@@ -8,7 +8,6 @@ from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from operators import EVERY, Motion, SlipflowError, Touch, concat
 from storage import Session, verify
@@ -16,6 +15,7 @@ from tests.chaos import children
 from tests.chaos.numbered import Numbers, motion, prefix, touch
 from tests.chaos.processes import PATIENCE, Child, scratch
 from tests.chaos.run import Promise, Scale
+from tests.waiting import wait_until
 
 BOUND = 10  # rows of a stream
 RATES = (100.0, 1000.0)  # rows/s
@@ -77,29 +77,20 @@ def _wave(
         for path in count_files:
             path.write_bytes(bytes(COUNTS * 8))
         counts = [np.memmap(path, np.int64, "r") for path in count_files]
-        children = [
+        recorders = [
             Child(folder, "record", dataset, path, f"{rate:g}")
             for dataset, path, rate in zip(datasets, count_files, rates, strict=True)
         ]
-        for child in children:
+        for child in recorders:
             child.start()
             stack.callback(child.stop)
-        _wait_for_rows(counts)
+        wait_until(lambda: all(each[children.ACCEPTED].all() for each in counts), within=PATIENCE)
         began, durations = time.monotonic(), [SHORTEST + random.uniform(0, SPREAD) for _ in rates]
-        for end, child in sorted(zip(durations, children, strict=True), key=itemgetter(0)):
+        for end, child in sorted(zip(durations, recorders, strict=True), key=itemgetter(0)):
             time.sleep(max(0.0, began + end - time.monotonic()))
             child.stop()
         for dataset, each, rate in zip(datasets, counts, rates, strict=True):
             yield rate, _read(dataset, np.array(each), rate)
-
-
-def _wait_for_rows(counts: Sequence[NDArray[np.int64]]) -> None:
-    """Wait until all recorders accept rows."""
-    deadline = time.monotonic() + PATIENCE
-    while not all(each[children.ACCEPTED].all() for each in counts):
-        if time.monotonic() > deadline:
-            raise TimeoutError("a recorder accepts no rows")
-        time.sleep(0.01)
 
 
 def _read(path: Path, counts: Numbers, rate: float) -> Remains | str:

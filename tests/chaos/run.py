@@ -1,4 +1,4 @@
-"""Test the promises that need real processes, disks and brokers, and print a table; exit 1 if one fails.
+"""Test the promises that need real processes and brokers, and print a table; exit 1 if one fails.
 
 python -m tests.chaos.run [--only NAME] [--seed N] [--short]
 """
@@ -7,11 +7,12 @@ import argparse
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from time import monotonic
 from typing import TypeAlias
 
+from flows.report.table import Table
 from tests.benchmarks.machine import commit
 
 
@@ -36,28 +37,11 @@ class Promise:
 Test: TypeAlias = Callable[[Scale], Sequence[Promise]]
 
 
-def table(promises: Iterable[Promise]) -> str:
-    """Return a Markdown table.
-
-    >>> print(table([Promise("SIGKILL x3", "0 lost", "0 lost", passed=True)]))
-    | test | result | bound | passed |
-    |---|---|---|---|
-    | SIGKILL x3 | 0 lost | 0 lost | yes |
-    """
-    rows = [(each.claim, each.result, each.bound, "yes" if each.passed else "NO") for each in promises]
-    lines = [f"| {' | '.join(row)} |" for row in [("test", "result", "bound", "passed"), *rows]]
-    return "\n".join([lines[0], "|---|---|---|---|", *lines[1:]])
-
-
 def main() -> int:
     """Run all tests, or the subjects given."""
-    from tests.chaos import events, full_disk, recorder
+    from tests.chaos import events, recorder
 
-    subjects: dict[str, Sequence[Test]] = {
-        "recorder": (recorder.kills,),
-        "full_disk": (full_disk.full_for_a_while,),
-        "events": (events.kills,),
-    }
+    subjects: dict[str, Test] = {"recorder": recorder.kills, "events": events.kills}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument(
         "--only", choices=list(subjects), action="append", help="test this subject only; may be repeated"
@@ -67,15 +51,16 @@ def main() -> int:
     options = parser.parse_args()
     scale, promises = Scale(options.seed, options.short), list[Promise]()
     for subject in options.only or subjects:
-        for test in subjects[subject]:
-            began = monotonic()
-            for promise in test(scale):
-                word = "passed" if promise.passed else "FAILED"
-                line = f"{word} ({monotonic() - began:.0f} s)  {promise.claim}: {promise.result}\n"
-                sys.stderr.write(line)
-                promises.append(promise)
+        began = monotonic()
+        for promise in subjects[subject](scale):
+            word = "passed" if promise.passed else "FAILED"
+            line = f"{word} ({monotonic() - began:.0f} s)  {promise.claim}: {promise.result}\n"
+            sys.stderr.write(line)
+            promises.append(promise)
+    rows = [(each.claim, each.result, each.bound, "yes" if each.passed else "NO") for each in promises]
+    table = Table(["test", "result", "bound", "passed"], rows)
     cores = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-    sys.stdout.write(f"seed {scale.seed}, commit {commit()}\n{cores}\n\n{table(promises)}\n")
+    sys.stdout.write(f"seed {scale.seed}, commit {commit()}\n{cores}\n\n{table.markdown()}\n")
     return 0 if all(each.passed for each in promises) else 1
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.chaos import events, full_disk, recorder
+from tests.chaos import events, recorder
 from tests.chaos.run import Scale, Test
 
 SHORT = Scale(short=True)
@@ -12,7 +12,6 @@ SHORT = Scale(short=True)
     "test",
     [
         recorder.kills,
-        full_disk.full_for_a_while,
         pytest.param(events.kills, marks=pytest.mark.broker),
     ],
 )

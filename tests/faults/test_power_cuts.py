@@ -20,7 +20,7 @@ from tests.faults.simulated_disk import SimulatedDisk
 from tests.faults.simulated_process import Killed, SimulatedProcess
 from tests.faults.world import MEMORY
 from tests.storage.disk_steps import ROWS, observed, record, row
-from tests.storage.made import leave, new_run, rows, session_names, side_by_side
+from tests.storage.made import leave, new_run, rows, same, session_names, side_by_side
 
 STREAMS: tuple[tuple[type[Batch], int], ...] = ((Touch, 0), (Motion, EVERY), (Slips, 0), (Episodes, EVERY))
 EVERY_NTH = 11  # operation at which the power is cut
@@ -50,10 +50,7 @@ def counted(session: Session) -> list[int]:
     counts = list[int]()
     for kind, finger in STREAMS:
         found = concat(kind, list(session.read(kind, finger)))
-        expected = concat(kind, [row(kind, number) for number in range(len(found))])
-        for name in vars(found):
-            values, right = getattr(found, name), getattr(expected, name)
-            assert name == "finger" or values.tobytes() == right.tobytes(), name
+        same(found, concat(kind, [row(kind, number) for number in range(len(found))]))
         counts.append(len(found))
     return counts
 

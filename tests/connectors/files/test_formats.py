@@ -237,6 +237,7 @@ def test_a_stated_rate_that_the_rows_miss_is_a_warning_only_if_gaps_show_the_los
     for rate in (60, 90, 112, 190):
         with pytest.raises(InputError, match=rf"has 100 rows per second, not {rate}: wrong unit"):
             trace([k / 100 for k in range(600)], f"rate={rate}")
+    assert trace([k / 100 for k in range(600)], "rate=95").columns.rate == 95
 
 
 def test_times_in_whole_seconds_are_no_pauses() -> None:

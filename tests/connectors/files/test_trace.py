@@ -244,13 +244,6 @@ def test_a_file_without_a_time_is_timed_by_a_rate(write: Write) -> None:
     assert trace.part.columns.rate == pytest.approx(30)
 
 
-def test_a_stated_rate_must_match_the_times(write: Write) -> None:
-    path = write(HEADER, *(f"{k * 10},1,2,3,4,5,6" for k in range(9)))
-    with pytest.raises(InputError, match=r"has 0\.1 rows per second, not 100: wrong unit of the time"):
-        _ = Trace(path, ColumnMap(rate=100)).part.touch
-    assert Trace(path, ColumnMap(units={"time": "ms"}, rate=95)).part.columns.rate == 95
-
-
 def test_the_real_trace_is_read_whole() -> None:
     if not MAT.exists():
         pytest.skip(f"{MAT} is missing: the shared material belongs next to the checkout")

@@ -18,11 +18,8 @@ pytest.importorskip("pymodbus")
 
 async def test_requests_and_answers_equal_the_frames_in_the_manual() -> None:
     async with lab(contact=188) as at:
-        gripper = at.gripper()
-        await gripper.open(at.run)
-        await gripper.write(commands(60.0))
-        await asyncio.sleep(5)
-        await gripper.close()
+        async with at.gripping(force=60.0):
+            await asyncio.sleep(5)
         looked = {data for _, data in at.asked if data[5] == 4}
         assert looked == {bytes.fromhex("00 00 00 06 02 04 00 00 00 08")}
         activate, close = [data for _, data in at.asked if data[5] == 16]
@@ -213,8 +210,7 @@ async def test_a_failure_of_the_control_is_logged_at_once_and_raised_by_write_an
 async def test_a_gripper_that_restarts_is_activated_again_and_grips_again(
     *, drop: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async with lab() as at, at.gripping() as gripper:
-        await gripper.write(commands(30.0))
+    async with lab() as at, at.gripping(force=30.0) as gripper:
         await asyncio.sleep(5)
         at.server.restart(drop=drop)
         await asyncio.sleep(10)

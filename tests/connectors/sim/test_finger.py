@@ -1,10 +1,10 @@
-import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from connectors.sim.finger import Finger
 from connectors.sim.scene import Faults, Move, Scene, Timing, Vibration
 from operators.batch import Touch, Truth, concat
+from tests.storage.made import same
 
 STROKE = (
     Move("hold", 0.3, force=0.0),
@@ -34,9 +34,5 @@ def test_cutting_the_simulation_changes_nothing(cuts: list[int]) -> None:
     whole, happened = take(Finger(SCENE, 5), sum(cuts))
     finger = Finger(SCENE, 5)
     parts = [taken for samples in cuts if (taken := finger.take(samples)) is not None]
-    touch = concat(Touch, [part for part, _ in parts])
-    truth = concat(Truth, [part for _, part in parts])
-    for name in ("time", "counts", "temperature", "valid"):
-        np.testing.assert_array_equal(getattr(touch, name), getattr(whole, name))
-    for name in ("time", "sliding", "force", "velocity"):
-        np.testing.assert_array_equal(getattr(truth, name), getattr(happened, name))
+    same(concat(Touch, [part for part, _ in parts]), whole)
+    same(concat(Truth, [part for _, part in parts]), happened)
