@@ -34,9 +34,9 @@ class Health(Operator[Touch, Faults]):
     - dead: no answer for `dead_after`.
     - stuck: valid counts unchanged for `stuck_after`. Noise changes the counts of a working cell within a few
       readings. A cell that reaches the end of its range is saturated; if it begins there, it is also stuck.
-    - saturated: raw counts in the first or last 1 % of the range for 50 ms. Overload
-      wraps from 0 to 1023, so both ends indicate it. The cell is not broken, but its range ends: events
-      keep the quality `good`. Not detected in zeroed counts, or if the range is unknown.
+    - saturated: raw counts in the first or last 1 % of the range for 50 ms. Overload wraps from 0 to 1023, so
+      both ends indicate it. The cell is not broken, but its range ends: events keep the quality `good`. Not
+      detected in zeroed counts, or if the range is unknown.
 
     A fault ends after `clear_after` without it. A value above 0 merges the faults of a cell that is often
     pressed to the end of its range. Rows of equal time are ordered by cell, then kind. A pause of the stream

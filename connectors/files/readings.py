@@ -69,7 +69,11 @@ def readings_of(table: RawTable, columns: ColumnMap) -> tuple[ColumnMap, Counts,
 
 
 def _check_signal(table: RawTable, readings: Reals, columns: ColumnMap, *, inherited: bool) -> None:
-    """Add the problem that a concluded resolution leaves few of many different readings of a cell."""
+    """Find cells of which a concluded resolution leaves few of many different readings.
+
+    That is a problem if rare readings far from the others make the steps large, or if those of earlier files
+    leave nothing; a cell that is pressed much less than the others is a warning.
+    """
     names, step, lost = columns.cell_names, columns.resolution or 1.0, list[int]()
     low, middle, high = (_quantiles(readings, share) for share in (0.01, 0.5, 0.99))
     for cell, some in enumerate(readings[:: len(readings) // _SAMPLE + 1].T):
@@ -78,14 +82,21 @@ def _check_signal(table: RawTable, readings: Reals, columns: ColumnMap, *, inher
             lost.append(cell)
     if not lost:
         return
-    row, cell = divmod(int(np.nanargmax(np.abs(readings - middle))), len(names))  # farthest from its others
-    farthest = repr(float(readings[row, cell])).removesuffix(".0")
-    remedy = f"state missing={farthest} if that is no reading, import cells of other units apart"
-    remedy = "import this file first, or into another dataset" if inherited else remedy
     steps = f"steps of {step:g} {columns.unit}{', as in earlier files,' if inherited else ''}"
     constant = f"{steps} make {listed([names[each] for each in lost])} almost constant"
-    place = table.place_of(row, names[cell])
-    table.add_problem(f"{constant}; {place} is {farthest}: {remedy}, or state resolution={step:g}")
+    far = 10 * (high - low)
+    rare = (readings < low - far) | (readings > high + far)
+    usual = resolution_of(np.where(rare, np.nan, readings), offset=not columns.zeroed)
+    if inherited and len(lost) == len(names):
+        remedy = "import this file first, or into another dataset"
+        table.add_problem(f"{constant}: {remedy}, or state resolution={step:g}")
+    elif not inherited and usual < step / 5:
+        row, cell = divmod(int(np.nanargmax(np.abs(readings - middle))), len(names))
+        farthest = repr(float(readings[row, cell])).removesuffix(".0")
+        remedy = f"state missing={farthest} if that is no reading, or resolution={step:g}"
+        table.add_problem(f"{constant}; {table.place_of(row, names[cell])} is {farthest}: {remedy}")
+    else:
+        table.warn(f"{constant}: import cells of other units or sizes apart, or state resolution=")
 
 
 def _warn_of_implausible(table: RawTable, readings: Reals, columns: ColumnMap) -> None:

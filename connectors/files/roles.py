@@ -142,7 +142,7 @@ def _check_interleaved(table: RawTable, unused: Sequence[str]) -> None:
     for name in filter(lambda each: _FINGERTIP.fullmatch(_word(each)), unused):
         column = table.columns[name]
         many, changes = column.n_unique(), int(column.rle_id()[-1])
-        if 1 < many <= _FINGERTIPS and changes >= many:
+        if 1 < many <= _FINGERTIPS and changes > len(column) / 4:
             split = f"for (one,), rows in frame.group_by({name!r}): import_frame(rows, OUT, f'NAME-{{one}}')"
             reason = (
                 f"column {name} alternates between {many} fingertips: import each in Python, with {split}"

@@ -119,7 +119,9 @@ class TrueSlips:
         starts = starts[np.append(True, apart)[: len(starts)]]
         ends = ends[np.append(apart, True)[: len(ends)]]
         slips = np.stack([starts, ends], axis=1)
-        required = (ends - starts >= sampling.samples(BRIEF)) & (starts >= warm_up)
+        before = label[places[np.maximum(np.searchsorted(places, starts) - 1, 0)]]  # (k,) of the last sample
+        lost = (label[starts - 1] == UNKNOWN) & (before == SLIP)  # a slip continues after lost samples
+        required = (ends - starts >= sampling.samples(BRIEF)) & (starts >= warm_up) & ~lost
         tolerated: Times = np.concatenate([slips, runs(label == UNKNOWN)])
         static = np.ones(len(label), np.bool_)
         for first, end in tolerated.tolist():

@@ -73,11 +73,11 @@ def declaration(flow: Flow) -> list[str]:
     """
     lines, parameters = streams(flow.nodes), list[str]()
     for part in (node.part for node in flow.nodes if isinstance(node.part, Operator | Join)):
-        for name in (f.name for f in fields(part) if f.init):
-            parameters += [name, *_contents(getattr(part, name))]
+        sums = {f.name: _checksum(_contents(getattr(part, f.name))) for f in fields(part) if f.init}
+        parameters += [f"{name} {each}" for name, each in sums.items()]
         if isinstance(part, Score):
             name = getattr(part.detector, "model", "") or getattr(part.detector, "name", "detector")
-            lines.append(f"{name} = {_checksum(_contents(part.detector))}")
+            lines.append(f"{name} = {sums['detector']}")
     lines.append(f"parameters = {_checksum(parameters)}")
     return [*lines, f"code = sha256 {flow.code}"] if flow.code else lines
 
@@ -89,7 +89,7 @@ def _checksum(texts: Iterable[str]) -> str:
 def _contents(value: object, *, inner: bool = False) -> Iterator[str]:
     """Yield what a value consists of, the same in each process; only the text of an object in an object."""
     if isinstance(value, np.ndarray):
-        yield repr((value.dtype, value.shape, value.tobytes()))
+        yield f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
     elif isinstance(value, Mapping | list | tuple):
         for each in cast("Any", value.items() if isinstance(value, Mapping) else value):
             yield from _contents(each, inner=True)

@@ -261,6 +261,8 @@ def open_recording(path: Path, warn: Callable[[str], object]) -> Recording:
     """
     from connectors.files.trace import Trace
 
+    if not path.exists():
+        raise InputError(str(path), "there is no such file or folder")
     if not path.is_file():
         return Session.open(path)
 

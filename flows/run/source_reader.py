@@ -46,11 +46,12 @@ class SourceReader:
         self.status = run.sources[name] = SourceStatus(declared_rate=declared)
         self._filters = defaultdict[int, LateRowFilter](LateRowFilter)  # by fingertip; they only count
         self._ahead = dict[int, int]()  # ns, how far rows were ahead of the run's clock, by fingertip
+        self._limits = dict[int, int]()  # ns, up to which rows need no look at the clock, by fingertip
         self._gap_start, self._gap_reason = 0, ""  # of the current gap; 0: none
         self._used = self._late = 0  # rows in time, and late rows, when a check last found new rows in time
         self._silent = 0.0  # s since then
         self._retry = BackOff()
-        self._ended = self._warned = self._strayed = False
+        self._ended = self._warned = self._strayed = self._taking = False
 
     async def read(self, take: Take) -> None:
         """Pass the batches of the source on until it ends.
@@ -81,6 +82,8 @@ class SourceReader:
             if (task := asyncio.current_task()) and task.cancelling():  # it replaced the cancellation
                 log.warning("%s failed to close: %s", self.name, reason_of(error))
                 raise asyncio.CancelledError from error
+            if self._taking:  # an operator or a sink failed, not the source
+                raise
             if isinstance(error, MISTAKES):
                 self.status.error = reason_of(error) + location(self._source, error)
                 raise OperatorError(self._run.flow, self.name, self.status.error) from error
@@ -107,9 +110,11 @@ class SourceReader:
             if not len(batch := self._checked(delivered)):
                 await asyncio.sleep(0)  # else a source without rows could block the run
                 continue
+            self._taking = True
             later = take(batch)
             if later is not None and not await later:
                 return
+            self._taking = False
 
     def check(self, waited: float) -> None:
         """Check the times of the rows, and whether the source is silent; call this every `waited` seconds.
@@ -134,7 +139,7 @@ class SourceReader:
         """End the current gap at the end of the run; a source that never delivered a row has failed."""
         self._check_times()
         status = self.status
-        if not (status.rows or status.error) and self._source.stale_after is not None:
+        if not (status.rows or status.error or self._taking) and self._source.stale_after is not None:
             self._is_silent("never delivered a row")
         if self._gap_start:
             self._end_gap()
@@ -164,17 +169,22 @@ class SourceReader:
 
     def _without_stray(self, batch: Batch) -> Batch:
         """Return a batch without rows of the future; a clock that stays ahead is that of another host."""
-        now, finger, newest = self._run.clock.now(), batch.finger, batch.time.item(-1)
+        finger, newest = batch.finger, batch.time.item(-1)
+        if newest <= self._limits.get(finger, 0):
+            return batch
+        now = self._run.clock.now()
         usual = self._ahead.setdefault(finger, newest - now)
         limit = now + max(usual, 0) + STRAY
         if newest <= limit:
             self._ahead[finger] = max(usual, newest - now)
+            self._limits[finger] = limit
             return batch
         if not self._strayed:
             text = "%s delivered a row of %.1f s in the future: such rows are dropped and counted as late"
             log.warning(text, self.name, (newest - now) / s)
         self._strayed = True
         del self._ahead[finger]  # the next batch shows whether the clock stays ahead
+        self._limits.pop(finger, None)
         kept = batch[: int(batch.time.searchsorted(limit, side="right"))]
         self.status.rows += len(batch) - len(kept)
         self.status.late += len(batch) - len(kept)
@@ -196,6 +206,7 @@ class SourceReader:
             log.warning("%s failed, retrying: %s", self.name, reason)
         self.status.failures += 1
         self._ahead.clear()  # a device that restarts may have set its clock
+        self._limits.clear()
         self._begin_gap(reason, stale=False)
 
     def _is_silent(self, reason: str, hint: str = "check that it is connected and switched on") -> None:

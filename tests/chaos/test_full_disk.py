@@ -27,7 +27,7 @@ class DatasetOfFew(Dataset):
 
 
 async def run(flow: Flow, alerts: TestSink) -> tuple[SinkStatus, str, int]:
-    """Run while no file grows for 1 s; return the status of the recorder, and error and alerts of that time."""
+    """Let no file grow for 1 s; return the status of the recorder, and the error and alerts of that time."""
     runner, limits = LiveRunner(flow, "full"), resource.getrlimit(resource.RLIMIT_FSIZE)
     running = asyncio.create_task(runner.execute())
     await asyncio.sleep(0.7)

@@ -38,11 +38,7 @@ _RANGES: Final = {  # lowest and highest value of each setting and limit, and it
     "rotation_acceleration": (0.01, 5, "rad/s2"),
     "rest": (0, 60, "s"),
     "baseline": (0.01, 600, "s"),
-    "clearance": (
-        0.003,
-        0.5,
-        "m",
-    ),  # `MaskLifted` takes a fingertip up to 2 mm above the surface as in contact
+    "clearance": (0.003, 0.5, "m"),  # up to 2 mm above the surface counts as contact (`MaskLifted`)
     "travel_speed": (0.0001, 1, "m/s"),
     "press_speed": (0.0001, MAX_SPEED, "m/s"),
     "acceleration": (0.01, 5, "m/s2"),
