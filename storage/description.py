@@ -1,13 +1,17 @@
 """Descriptions of a dataset and a session: dataset.json and session.json."""
 
+import hashlib
 import json
 import platform
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, is_dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, Final
+from re import sub
+from types import FunctionType, MappingProxyType
+from typing import Any, Final, cast
+
+import numpy as np
 
 from operators.batch import s
 from operators.errors import InputError
@@ -172,3 +176,31 @@ def _check_version(path: Path, about: Description) -> None:
 def _rfc3339(time: int) -> str:
     """Return a time (ns since 1970-01-01 UTC) as text."""
     return f"{datetime.fromtimestamp(time // s, UTC):%Y-%m-%dT%H:%M:%S}.{time % s:09d}Z"
+
+
+def plain_text(value: object) -> str:
+    """Return the text of a value without its address, which differs in each process."""
+    return sub(" at 0x[0-9a-fA-F]+", "", repr(value))
+
+
+def checksum(value: object) -> str:
+    """Return the checksum of what a value consists of, such as a detector; the same in each process."""
+    return f"sha256 {hashlib.sha256(repr([*_contents(value)]).encode()).hexdigest()}"
+
+
+def _contents(value: object, *, inner: bool = False) -> Iterator[str]:
+    """Yield what a value consists of; only the text of an object in an object."""
+    if isinstance(value, np.ndarray):
+        yield f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
+    elif isinstance(value, Mapping | list | tuple):
+        for each in cast("Any", value.items() if isinstance(value, Mapping) else value):
+            yield from _contents(each, inner=True)
+    elif isinstance(value, type | FunctionType):
+        yield f"{value.__module__}.{value.__qualname__}"
+    else:
+        parts = getattr(value, "__dict__", {}) if is_dataclass(value) or not inner else {}
+        yield type(value).__qualname__ if parts else plain_text(value)
+        for name, each in parts.items():
+            weights = isinstance(each, np.ndarray | np.generic | float | list | tuple)
+            if weights or not name.startswith("_"):  # other private attributes may be caches
+                yield from _contents((name, each))

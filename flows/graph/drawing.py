@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import MISSING, fields, is_dataclass
-from re import sub
 from types import FunctionType
 from typing import Any
 
@@ -10,6 +9,7 @@ from flows.graph.node import Node, consumers
 from operators.batch import ms
 from operators.operator import Join
 from operators.ports import Sink, Source
+from storage.description import plain_text
 
 
 def describe(part: object) -> str:
@@ -40,11 +40,6 @@ def _value(value: object) -> str:
         return describe(value)
     named = getattr(value, "model", None) or getattr(value, "name", None)  # the model of a detector
     return named if isinstance(named, str) and not isinstance(value, str) else plain_text(value)
-
-
-def plain_text(value: object) -> str:
-    """Return the text of a value without its address, which differs in each process."""
-    return sub(" at 0x[0-9a-fA-F]+", "", repr(value))
 
 
 def text(name: str, nodes: Sequence[Node]) -> str:

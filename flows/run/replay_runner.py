@@ -1,13 +1,11 @@
 """Execution of a flow over a recording: the same graph as in a live run, at full speed."""
 
 import asyncio
-import hashlib
 import logging
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from itertools import chain, islice
-from types import FunctionType
 from typing import Any, cast
 
 import numpy as np
@@ -15,7 +13,7 @@ import numpy as np
 from connectors.replay import Replay
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
-from flows.graph.drawing import plain_text, streams
+from flows.graph.drawing import streams
 from flows.graph.node import FlowPart, Node, check_extras, consumers
 from flows.run.clocks import EventClock
 from flows.run.failures import contained, reason_of
@@ -25,6 +23,7 @@ from operators.errors import FlowError, InputError
 from operators.operator import Join, LateRowFilter, Operator
 from operators.ports import Clock, Recording, Run, Sink, SinkStatus, Source, SourceStatus
 from operators.score import Score
+from storage.description import checksum
 
 log = logging.getLogger("slipflow")
 
@@ -73,34 +72,13 @@ def declaration(flow: Flow) -> list[str]:
     """
     lines, parameters = streams(flow.nodes), list[str]()
     for part in (node.part for node in flow.nodes if isinstance(node.part, Operator | Join)):
-        sums = {f.name: _checksum(_contents(getattr(part, f.name))) for f in fields(part) if f.init}
+        sums = {f.name: checksum(getattr(part, f.name)) for f in fields(part) if f.init}
         parameters += [f"{name} {each}" for name, each in sums.items()]
         if isinstance(part, Score):
             name = getattr(part.detector, "model", "") or getattr(part.detector, "name", "detector")
             lines.append(f"{name} = {sums['detector']}")
-    lines.append(f"parameters = {_checksum(parameters)}")
+    lines.append(f"parameters = {checksum(parameters)}")
     return [*lines, f"code = sha256 {flow.code}"] if flow.code else lines
-
-
-def _checksum(texts: Iterable[str]) -> str:
-    return f"sha256 {hashlib.sha256(repr([*texts]).encode()).hexdigest()}"
-
-
-def _contents(value: object, *, inner: bool = False) -> Iterator[str]:
-    """Yield what a value consists of, the same in each process; only the text of an object in an object."""
-    if isinstance(value, np.ndarray):
-        yield f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
-    elif isinstance(value, Mapping | list | tuple):
-        for each in cast("Any", value.items() if isinstance(value, Mapping) else value):
-            yield from _contents(each, inner=True)
-    elif isinstance(value, type | FunctionType):
-        yield f"{value.__module__}.{value.__qualname__}"
-    else:
-        yield plain_text(value)
-        for name, each in getattr(value, "__dict__", {}).items() if is_dataclass(value) or not inner else ():
-            weights = isinstance(each, np.ndarray | np.generic | float | list | tuple)
-            if weights or not name.startswith("_"):  # other private attributes may be caches
-                yield from _contents((name, each))
 
 
 def new_run(session: str, flow: Flow, compiled: CompiledFlow, clock: Clock, *, live: bool = True) -> Run:
