@@ -1,7 +1,7 @@
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import new_class
 from typing import Any, cast
 
@@ -34,7 +34,7 @@ from operators import (
 )
 from operators.batch import Counts, Reals
 from operators.operator import output_type
-from operators.steps import Record, RowType, Steps, copy
+from operators.steps import Record, RowType, Steps
 from tests.operators import test_conformance as suite
 
 
@@ -244,27 +244,13 @@ class HoldBack(Operator[Scores, Scores]):
         return rows[:-3]
 
 
-def store(settings: Record, state: Record, row: Record) -> None:
-    state.right = row.probability
-
-
-def add(settings: Record, state: Record, row: Record) -> None:
-    copy(state.left, row)
-    state.waits = True
-
-
-def give(settings: Record, state: Record, out: Record) -> bool:
-    copy(out, state.left)
-    out.probability += state.right
-    waits, state.waits = state.waits, False
-    return bool(waits)
-
-
 @dataclass
 class Latest(Join[Scores, Scores, Scores]):
-    def steps(self, *given: RowType) -> Steps:
-        state = {"left": np.zeros((), given[0].packed), "right": 0.0, "waits": False}
-        return Steps({}, state, takes=(add, store), give=give)
+    newest: float = field(default=0.0, init=False)
+
+    def process(self, left: Scores, right: Scores) -> Scores:
+        self.newest = right.probability.item(-1) if len(right) else self.newest
+        return replace(left, probability=left.probability + self.newest)
 
 
 def test_a_join_sees_rows_that_an_operator_held_back_as_late_as_row_by_row() -> None:
