@@ -11,11 +11,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import ViewportSize, expect
 
-from connectors.web.session_page import SessionPage
 from flows.cli.show import load
-from operators import Debounce
-from operators.batch import Labelled, Motion, Scores, Slips, Touch, Truth, Zeroed, concat, ms, s
-from operators.ports import Run
+from operators.batch import Labelled, Motion, Touch, Truth, concat, s
 from storage import Session
 from storage.hand_labels import read_hand_labels
 from tests.connectors.web.browsing import MOVE, ServedRecording, Watched, drag, shaking, sideways
@@ -207,36 +204,3 @@ def test_spans_are_marked_corrected_undone_and_saved_as_versions(
     assert len(read_hand_labels(session.folder, session.about, 1).spans) == 1
     tab.reload()
     expect(state).to_have_text("2 spans, saved as version 2")
-
-
-def test_thinned_curves_keep_the_figures_of_the_recording(
-    watched: Watched, session: Session, run: Run
-) -> None:
-    """A row in a thousand is another; no figure may be that of its neighbours, nor its own theirs."""
-    rows, odd, tab = 200_000, 123_456, watched.tab
-    time, onsets = run.start + np.arange(rows) * 10 * ms, np.arange(0, rows, 50)[:3000]
-    probability, counts = np.full(rows, 0.25), np.full((rows, 6), -10, np.int16)
-    probability[odd], counts[odd] = 0.75, -333
-    state = (1 - np.arange(3000) % 2).astype(np.int8)
-
-    async def fill() -> SessionPage:
-        page = SessionPage(session, Debounce(0.78), "tcn", recorded=True)
-        await page.open(run)
-        await page.write(Zeroed(time, counts, counts, counts < 0, finger=0))
-        await page.write(Scores(time, probability, finger=0))
-        await page.write(Slips(time[onsets], state, time[onsets], np.full(3000, 0.9), finger=0))
-        await page.close()
-        return page
-
-    with ServedRecording(fill()) as served:
-        tab.goto(served.url)
-        expect(tab.locator("#ramp-to")).to_have_text("400")  # the deepest of all
-        expect(tab.locator("#events-count")).to_have_text("1,500 slips")
-        expect(tab.locator("#some-events")).to_have_text("The first 1,000 of 3,000 events are listed.")
-        count, shown = tab.locator(".count").first, tab.locator("#probability")
-        expect(count).to_have_text("10")  # the page has loaded
-        expect(tab.locator("#readout")).not_to_contain_text("UTC")  # it begins in 1970
-        for row, figures in ((odd, ("333", "0.75")), (odd - 1, ("10", "0.25")), (odd + 1, ("10", "0.25"))):
-            tab.locator("#instant").evaluate(MOVE, 10 * row)  # all within the same pixel
-            expect(count).to_have_text(figures[0])
-            expect(shown).to_have_text(figures[1])
