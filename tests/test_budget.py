@@ -12,15 +12,15 @@ from flows.cli.main import app
 ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
-    "operators": 5_049,
-    "connectors": 10_532,
-    "storage": 3_851,
-    "flows": 12_300,
-    "product": 31_732,
+    "operators": 5_044,
+    "connectors": 10_476,
+    "storage": 3_845,
+    "flows": 12_283,
+    "product": 31_648,
     "product files": 212,
-    "tests": 30_232,
+    "tests": 30_229,
     "commands": 16,
-    "options": 75,
+    "options": 70,
     "words": 35_700,
 }
 

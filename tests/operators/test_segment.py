@@ -9,14 +9,11 @@ import pytest
 
 from flows.graph.testing import check_same
 from operators import (
-    UNKNOWN,
     Align,
     Batch,
     BatchError,
     Debounce,
     Join,
-    Label,
-    Labelled,
     Motion,
     Operator,
     ParameterError,
@@ -92,29 +89,6 @@ def test_touch_that_finds_the_queue_full_is_released_early_and_unmatched() -> No
     early = 1200 - 1023  # when the motion arrived
     assert samples.matched.tolist() == [False] * 700 + [True] * 800
     assert len(Align(within=50 * ms, wait=900 * ms).push(touch[:1200], motion[:0])) == early
-
-
-def test_of_more_motion_than_the_queue_holds_the_newest_is_kept() -> None:
-    """1024 rows are 51 ms at 20 kHz."""
-    motion, touch = _motion(_times(2000, 20_000)), _touch(np.array([40, 43, 44, 60]) * ms)
-    align = PREVIOUS.reset_copy()
-    for row in range(0, 2000, 300):
-        align.push(touch[:0], motion[row : row + 300])
-    assert align.push(touch, motion[:0]).matched.tolist() == [False, False, False, True]
-    _check_equal(_runs(PREVIOUS, touch, motion))
-
-
-def test_a_label_whose_motion_finds_the_queue_full_is_unknown() -> None:
-    """1024 rows are 20 ms at 50 kHz: the newest is 25 ms older than the delay."""
-    sample = _sample(_times(3000, 50_000), np.arange(3000) / 30_000)
-    label = Label(rotation=0.2, delay=45 * ms)
-    labelled = _check_equal(_runs(label, sample))
-    assert isinstance(labelled, Labelled)
-    assert labelled.time.tolist() == sample.time.tolist()
-    assert (labelled.label == UNKNOWN).all()
-    shorter = suite.run(Label(rotation=0.2, delay=10 * ms), [(sample,)])
-    assert isinstance(shorter, Labelled)
-    assert (shorter.label != UNKNOWN).all()
 
 
 # --- cells -----------------------------------------------------------------------------------------------
