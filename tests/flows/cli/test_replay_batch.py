@@ -46,7 +46,7 @@ def test_what_a_flow_file_prints_is_printed_once(tiny: Path, tmp_path: Path) -> 
     assert done.returncode == 1
     assert done.stdout.startswith("loaded\n")
     assert done.stdout.count("loaded") == 1
-    assert f"error: {tmp_path / 'gone'}: there is no such folder" in done.stderr
+    assert f"error: {tmp_path / 'gone'}: there is no such file or folder" in done.stderr
     assert done.stdout.splitlines()[-1].startswith("2 recordings, ")
 
 
