@@ -76,11 +76,11 @@ class Replay(Source[Given], Generic[Given]):
 
     async def batches(self, clock: Clock) -> AsyncIterator[Given]:
         """Yield the whole stream, with the fingertips merged in the order of their timestamps."""
-        recording = self._recording
-        keys = [(kind, each) for kind in (self._kind, Touch, Motion) for each in recording.fingers(kind)]
-        first = [_time(row) for key in keys for row in islice(recording.read(*key, 1), 1)]
+        kinds: set[type[Batch]] = {self._kind, Touch, Motion}
+        keys = [(kind, each) for kind in kinds for each in self._recording.fingers(kind)]
+        first = [_time(row) for key in keys for row in islice(self._recording.read(*key, 1), 1)]
         start = clock.now() - min(first, default=0)
-        streams = [_rows(recording.read(self._kind, finger)) for finger in self.fingers]
+        streams = [_rows(self._recording.read(self._kind, finger)) for finger in self.fingers]
         for row in merge(*streams, key=_time):
             await clock.sleep_until(start + _time(row))
             yield row

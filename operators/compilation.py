@@ -189,9 +189,8 @@ def _linked(
         elif isinstance(helper, FunctionType):
             if helper not in known:
                 linked, checked = _linked(helper, names, known), _is_of_user(helper)
-                known[helper] = njit(error_model="python" if checked else "numpy", boundscheck=checked)(
-                    linked
-                )
+                compiled = njit(error_model="python" if checked else "numpy", boundscheck=checked)
+                known[helper] = compiled(linked)
             scope[name] = known[helper]
     result = FunctionType(function.__code__, scope, names[function], function.__defaults__)
     result.__qualname__, result.__kwdefaults__ = names[function], function.__kwdefaults__

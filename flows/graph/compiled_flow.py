@@ -304,9 +304,7 @@ def _by_instant(push: Push) -> Push:
     def push_each(*batches: Batch) -> list[Delivery]:
         if sum(map(len, batches)) <= 1:
             return push(*batches)
-        reached = [
-            np.maximum.accumulate(batch.time) for batch in batches
-        ]  # late rows stay after earlier ones
+        reached = [np.maximum.accumulate(batch.time) for batch in batches]  # late rows stay after others
         instants = np.unique(np.concatenate(reached))
         cuts = [np.searchsorted(times, instants, "right").tolist() for times in reached]
         pieces = zip(*(zip([0, *each], each, strict=False) for each in cuts), strict=True)

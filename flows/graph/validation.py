@@ -41,8 +41,8 @@ def validate(flow: Flow, *, fingertips: bool = True) -> None:
 def problems(flow: Flow, *, fingertips: bool = True) -> list[FlowError]:
     """Return all problems of a flow; the wiring is checked only if its operators and sinks are valid."""
     parts = _wrong_operators, _wrong_sinks
-    wiring = [_no_source, _shared_parts, _wrong_types, _unconnected, _shared_destinations, _duplicate_streams]
-    wiring.append(_no_session_name)
+    streams = _no_source, _shared_parts, _wrong_types, _unconnected
+    wiring = *streams, _shared_destinations, _duplicate_streams, _no_session_name
 
     def found(checks: Iterable[Callable[[Flow], Iterator[Problem]]]) -> list[FlowError]:
         return [FlowError(flow.name, *problem) for check in checks for problem in check(flow)]

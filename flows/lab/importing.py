@@ -19,12 +19,12 @@ from connectors.files.interpretation import Part, speeds_of
 from connectors.files.raw_table import listed
 from connectors.files.trace import interpreted
 from flows.graph import Flow
-from flows.learn.labelled_recordings import SPLITS
+from flows.learn.labelled_recordings import SPLITS, labelled
 from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import session_of
 from flows.run.session_output import new_session, remove_partial
 from operators import Align, Label, Operator, Zero, Zeroed, ms
-from operators.batch import Codes, Labelled, Motion, Sample, Touch, concat
+from operators.batch import Codes, Labelled, Motion, Touch
 from operators.errors import InputError, ParameterError, SlipflowError
 from operators.fingertip import TAKKTILE
 from operators.label import LIMIT
@@ -35,7 +35,6 @@ from storage.layout import SESSIONS, session_folders
 
 _DEFAULT: Final = ColumnMap()
 _LABEL: Final = Label()  # by the arm's speed; `slipflow run relabel` has other limits
-_WITHIN: Final = 20 * ms  # of a sample, its motion
 
 
 @dataclass
@@ -86,12 +85,11 @@ class TraceImport:
 
     def labels(self) -> Codes:
         """Return the labels of the samples of a fingertip (n,), those of the trace or by the arm's speed."""
-        part, touch, align = self.trace.part, self.trace.part.touch, Align(within=_WITHIN)
+        part, touch = self.trace.part, self.trace.part.touch
         if self.label_source or not len(part.motion):
             return part.labels
         zeroed = Zeroed(touch.time, touch.counts, touch.temperature, touch.valid, finger=touch.finger)
-        samples = concat(Sample, [align.push(zeroed, part.motion), align.flush()])
-        return replace(_LABEL).push(samples).label
+        return labelled(zeroed, part.motion, _LABEL).label
 
     def flow(self, out: Path) -> Flow:
         """Return the flow that writes the dataset `out`."""
@@ -102,7 +100,7 @@ class TraceImport:
         if len(part.motion):
             motion = flow.source(Replay(self.trace, Motion), "motion")
             motion.to(dataset)
-            samples = (touch | Zero()) & motion | Align(within=_WITHIN) | replace(_LABEL)
+            samples = (touch | Zero()) & motion | Align(within=20 * ms) | replace(_LABEL)
             (samples | attach if self.label_source else samples).to(dataset)
         elif self.label_source:
             (touch | Zero() | attach).to(dataset)

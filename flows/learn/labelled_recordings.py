@@ -47,6 +47,7 @@ from storage.layout import session_folders
 SPLITS: Final = ("train", "validation", "test")
 # of recordings without a split, in turn
 TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train", "test", "train", "train")
+_LABEL: Final = Label(SLIDING, rotation=0.2)
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 WARM_UP: Final = 99  # samples; the paper's windows have 100
@@ -227,7 +228,7 @@ def simulated_recording(scene: Scene, seed: int, name: str = "") -> LabelledReco
     moves = concat(Episodes, [episode(move, start, 0, scene) for start, move in scene.moves(seed)])
     return LabelledRecording(
         forward_fill(zeroed.counts, zeroed.valid),
-        _labelled(zeroed, motion).label,
+        labelled(zeroed, motion).label,
         zeroed.valid,
         _sliding(zeroed, replace(truth, time=touch.time)),  # the clock of the touch may be wrong
         _strokes(moves, truth.time),
@@ -360,16 +361,16 @@ def _strokes(episodes: Episodes, time: Times) -> Strokes | None:
     )
 
 
-def _labelled(zeroed: Zeroed, motion: Motion) -> Labelled:
+def labelled(zeroed: Zeroed, motion: Motion, by: Label = _LABEL) -> Labelled:
     """Run the operators that label samples, as a flow does."""
-    align, label = Align(within=20 * ms), Label(SLIDING, rotation=0.2)
+    align, label = Align(within=20 * ms), by.reset_copy()
     samples = concat(Sample, [align.push(zeroed, motion), align.flush()])
     return concat(Labelled, [label.push(samples), label.flush()])
 
 
 def _sliding(zeroed: Zeroed, truth: Truth) -> Codes:
     """Return the label of each sample by the true sliding at its time; (n,)."""
-    return _labelled(zeroed, sliding_motion(truth)).label
+    return labelled(zeroed, sliding_motion(truth)).label
 
 
 def sliding_motion(truth: Truth) -> Motion:
