@@ -17,14 +17,13 @@ from storage.arrow import pa
 from storage.description import read_session
 from storage.files import locked
 from storage.hand_labels import HandLabels, LabelSpan, read_hand_labels, write_hand_labels
+from storage.journal import journal_files
 from storage.layout import (
-    JOURNAL,
     SESSION,
     TABLE_OF,
     TABLES,
     Table,
     check_links,
-    may_exist,
     session_folders,
     table_of,
 )
@@ -82,7 +81,7 @@ class Session:
         """
         folder = _only_session(Path(path))
         check_links(folder)
-        if may_exist(folder / JOURNAL):
+        if journal_files(folder):
             _recover(folder)
         about = read_session(folder)
         return cls(folder, about, read_manifest(folder, about))

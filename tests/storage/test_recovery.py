@@ -49,7 +49,10 @@ def test_rows_of_the_journal_become_listed_parts_once(left: Path) -> None:
     assert (about["complete"], about["error"], about["recovered"]) == (False, "was not closed", RECOVERED)
     assert about["end_ns"] == int(BATCHES[-1].time[-1])
     assert (verify(left).code, verify(left).worst) == (3, "repaired")
+    (left / "journal").mkdir()
     before = contents(left)
+    assert Session.open(left).about == about
+    assert (left / "journal").exists()  # opening it has recovered nothing
     assert not recover(left).changed
     assert contents(left) == before
 
