@@ -58,8 +58,7 @@ _FINGERTIP: Final = re.compile(  # names of columns that tell which fingertip, o
     "(frame|finger|fingertip|sensor|side|hand|pad|device|node|board|module|mux|port|bus|i2c|mac|topic|source"
     "|channel|ch|cell|taxel)?(id|index|name|number|nr|no|addr|address)?"
 )
-_FINGERTIPS: Final = 16  # at most, in such a column
-_FEW: Final = 20  # values of labels
+_FEW: Final = 20  # values of labels, or fingertips in such a column
 _HEAD: Final = 20  # rows that tell what a column is
 _NUMBER: Final = r"^[+-]?[\d.,]*\d[\deE.,+-]*$"
 _SYNONYMS: Final = {  # of units, in lower case
@@ -147,7 +146,7 @@ def _check_interleaved(table: RawTable, unused: Sequence[str]) -> None:
     for name in unused:
         column = table.columns[name]
         many, changes = column.n_unique(), int(column.rle_id()[-1])
-        if not 1 < many <= _FINGERTIPS or changes <= len(column) / 4:
+        if not 1 < many <= _FEW or changes <= len(column) / 4:
             continue
         text = f"column {name} alternates between {many}"
         if _FINGERTIP.fullmatch(_word(name)):
@@ -200,7 +199,7 @@ def split_unit(quantity: str, name: str) -> tuple[str, str]:
     (('t', 'ms'), ('cell 1', 'kPa'), ('b0_T', ''))
     """
     if (match := _BRACKETS.fullmatch(name)) and not re.fullmatch(r"\d[\d\W]*", match[2]):
-        unit, other = unit_in(match[2], (quantity,)), unit_in(match[2]) or is_temperature(match[2])
+        unit, other = unit_in(match[2], (quantity,)), unit_in(match[2]) or _TEMPERATURE.fullmatch(match[2])
         if unit or (match[2] and (quantity == COUNTS or (quantity in MOTIONS and not other))):
             return match[1].strip(), unit or match[2]
         return name.strip(), ""
@@ -217,13 +216,8 @@ def split_unit(quantity: str, name: str) -> tuple[str, str]:
 def has_temperature(name: str) -> bool:
     """Return True if a name, or its unit, tells that a numbered column is a temperature."""
     stem, unit = split_unit(COUNTS, name)
-    kelvin = is_temperature(unit) and unit != "T"
-    return kelvin or is_temperature(_suffix(stem)) or _word(name).startswith("temp")
-
-
-def is_temperature(text: str) -> bool:
-    """Return True for a unit, or the ending of a name, of a temperature, such as ``degC`` or ``T``."""
-    return bool(_TEMPERATURE.fullmatch(text))
+    kelvin = unit != "T" and _TEMPERATURE.fullmatch(unit)
+    return bool(kelvin or _TEMPERATURE.fullmatch(_suffix(stem)) or _word(name).startswith("temp"))
 
 
 def label_values(labels: Mapping[str, Sequence[str]]) -> dict[str, str]:
@@ -366,11 +360,9 @@ def _suggested(
 
 def _rises(column: pl.Series) -> bool:
     """Return True for dates, and for numbers that rise; not if they count the rows."""
-    if is_text_of_time(column):
-        return True
     text = column.str.replace(",", ".", literal=True) if column.dtype == pl.String else column
     steps = text.cast(pl.Float64, strict=False).diff().drop_nulls()
-    return bool(len(steps) and (steps > 0).all() and (steps != 1).any())
+    return is_text_of_time(column) or bool(len(steps) and (steps > 0).all() and (steps != 1).any())
 
 
 def _quantity(key: str) -> str:

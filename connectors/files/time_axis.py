@@ -133,14 +133,14 @@ def continued(time: Times, notes: list[str]) -> Times:
 
 def _add_unit_problem(table: RawTable, name: str, rate: float, unit: str) -> None:
     """Add the problem that the unit of the time is not stated, and the concluded one is implausible."""
-    scales = {each: UNITS[TIME][unit] / UNITS[TIME][each] for each in ("s", "ms", "us", "ns", "min")}
-    others = {each: rate * scale for each, scale in scales.items() if each != unit}
+    tried = ("s", "ms", "us", "ns", "min")
+    others = {each: rate * UNITS[TIME][unit] / UNITS[TIME][each] for each in tried if each != unit}
     likely = [f"units.time={each} ({hz:.4g} Hz)" for each, hz in others.items() if SLOWEST <= hz <= FASTEST]
     if len(table) >= _ENOUGH:
         reason = f"column {name} has no unit, in {unit} its rate is {rate:.4g} Hz"
         remedy = " or ".join(likely) or "another unit (convert days with polars)"
         fix = likely[0].partition(" ")[0] if likely else None
-        if rate * UNITS[TIME][unit] / s == 1:  # a step of 1
+        if rate == 1:
             remedy, fix = f"time=,rate=... if it counts rows, {remedy}", "time=,rate=ROWS_PER_SECOND"
         table.add_problem(f"{reason}; state {remedy}, or units.time={unit}", fix=fix)
 

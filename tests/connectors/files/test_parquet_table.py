@@ -56,7 +56,7 @@ def test_columns_of_rare_types_are_read_or_left_out(path: Path) -> None:
             "t": time / s,
             "since": passed,
             **cells,
-            "note": pa.array([[("a", 1.0)]] * 50, pa.map_("string", "f8")),
+            "note": pa.array([[("a", 1.0)]] * 50, pa.map_(pa.string(), pa.float64())),
         },
     ):
         pq.write_table(pa.table(columns), path)
