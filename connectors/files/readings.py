@@ -15,7 +15,8 @@ from operators.fingertip import Fingertip, usual_layout
 COUNT_LIMIT: Final = 32767  # largest absolute count
 
 _STEPS: Final = [float(f"{each}e{power}") for power in range(-12, 306) for each in ("1", "2", "2.5", "5")]
-_TOLERANCE: Final = 0.01  # of a step: float32 has 24 bits
+_TOLERANCE: Final = 0.01  # of a step, at most
+_FLOAT32: Final = 1e-5  # of the largest reading: float32 has 24 bits, of which a subtraction costs some
 _PRECISION: Final = 1e-10  # of the largest reading: float64 has 53 bits
 _NINES: Final = [float(f"{'9' * whole}.{'9' * part}") for whole in range(2, 8) for part in range(4)]
 _SENTINELS: Final = (  # usual values for no reading
@@ -211,7 +212,8 @@ def _at_least(step: float) -> float:
 def _is_multiple(values: Reals, step: float) -> bool:
     """Return True if all readings are multiples of a step; NaN is missing."""
     parts = (values[:1000] / step, values / step)  # most other steps fail early
-    return not any(np.any(np.abs(part - np.rint(part)) > _TOLERANCE) for part in parts)
+    limit = min(_TOLERANCE, _FLOAT32 * np.nanmax(np.abs(values)) / step)
+    return not any(np.any(np.abs(part - np.rint(part)) > limit) for part in parts)
 
 
 def _is_zeroed(readings: Reals) -> bool:

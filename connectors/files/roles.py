@@ -314,6 +314,7 @@ def _units(found: Mapping[str, Sequence[str]], stated: ColumnMap, table: RawTabl
         elif unit and choices and unit not in choices:
             must_be = f"must be {' or '.join(choices)}"
             problem = f"unit {unit} of column {names[0]} {must_be}: state units.{quantity}=..., or convert it"
+            problem += f" (or leave it out by {quantity}=)" if quantity in MOTIONS else ""
         elif quantity == TIME and not unit:
             unit = unit_in(_word(names[0]).removeprefix("time"), (TIME,))
         if problem:

@@ -63,6 +63,7 @@ def test_readings_come_back_within_half_a_step_that_is_as_fine_as_16_bits_allow(
         ([98270.25, 98262.0, 98271.75], "Pa", 0.25, True),
         ([0.0, 0.0, 0.0], "N", 1, False),
         ([0.125, 0.375, 2.0], "N", 0.025, False),
+        ([0.0012, 0.0041, 5.0007], "N", 0.0001, True),  # noise of less than a hundredth of 1 N
     ],
 )
 def test_the_resolution_keeps_all_digits_if_it_can(
