@@ -25,7 +25,7 @@ SEPARATORS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", "pipe": "|", "
 _SPEEDS: Final = {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001}
 _CELLS: Final = (
     *("count", "mPa", "Pa", "hPa", "kPa", "MPa", "mbar", "bar", "psi", "mmHg", "atm"),
-    *("N", "mN", "V", "mV", "uV", "A", "mA", "T", "mT", "uT", "G", "ohm", "kohm", "pF"),
+    *("N", "mN", "g", "V", "mV", "uV", "A", "mA", "T", "mT", "uT", "G", "ohm", "kohm", "pF"),
 )
 UNITS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
     {
@@ -216,7 +216,8 @@ def expanded(text: str) -> list[str]:
 
 
 def shortened(names: Sequence[str]) -> str:
-    """Return columns as a map states them: a range if they are one."""
+    """Return columns as a map states them: a range if they are one; ? stands for a sign of the map itself."""
+    names = [re.sub(r"[][,=]", "?", name) if re.search("[,=]", name) else name for name in names]
     with suppress(ParameterError):
         if names[2:] and expanded(text := f"{names[0]}..{names[-1]}") == [*names]:
             return text

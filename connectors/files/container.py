@@ -98,6 +98,9 @@ def _read_parquet(where: str, content: bytes, sha256: str) -> RawTable:
         raise InputError(where, f"is damaged or not a Parquet file: {reason:.200}; restore a copy") from None
     columns, left_out = list[pl.Series](), dict[str, str]()
     for name, values in zip(table.column_names, table.columns, strict=True):
+        if table.column_names.count(name) > 1:
+            left_out[name] = "it occurs twice"
+            continue
         try:
             columns.append(pl.Series(name, values))
         except (TypeError, ValueError, pl.exceptions.PolarsError, pl.exceptions.PanicException):

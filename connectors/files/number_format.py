@@ -10,7 +10,7 @@ import polars as pl
 from connectors.files.column_map import DATE, LABEL, ColumnMap
 from connectors.files.raw_table import RawTable
 
-MISSING: Final = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")  # in lower case
+MISSING: Final = ("", "nan", "na", "n/a", "#n/a", "null", "none", "<na>", "-", "--")  # in lower case
 _NUMBER: Final = r"^[+-]?[\d.,]*(?:\d[{0}]|[{0}]\d)[\d.,]*(?:[eE][+-]?\d+)?$"  # with a sign
 _DECIMAL: Final = r"^[+-]?(?:\d+[{0}]\d*|[{0}]\d+)(?:[eE][+-]?\d+)?$"  # with no other sign
 _REMEDY: Final = "remove the signs of thousands (in polars: str.replace_all)"
@@ -49,11 +49,9 @@ def with_decimal(table: RawTable, columns: ColumnMap) -> ColumnMap:
             table.stop()
         certain = table.separator == "comma" and not comma
         if signs[sign] and not (certain or _example(table, table.columns, _DECIMAL.format(sign), _DOUBT)):
-            cells = [reals(table.columns[name], sign) for name in columns.cell_names]
-            parts = columns.has_counts and any((each.fill_nan(0) % 1 > 0).any() for each in cells)
-            unit = " and a unit, as units.counts=kPa" if parts else ""
+            unit = " and a unit, as units.counts=kPa" if columns.has_counts else ""
             text = f"{signs[sign]} may have decimals or thousands; state decimal={decimal}{unit}"
-            table.add_problem(f"{text}, or {_REMEDY}", fix=None if parts else f"decimal={decimal}")
+            table.add_problem(f"{text}, or {_REMEDY}")
         columns = replace(columns, decimal=decimal)
     table.notes += ["decimal comma"] if columns.decimal == "comma" else []
     return columns

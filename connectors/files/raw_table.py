@@ -17,6 +17,7 @@ COLUMN_LIMIT: Final = 4096
 
 _SHOWN: Final = 8  # problems in an error
 _NAMES_SHOWN: Final = 20
+_USABLE: Final = (pl.String, pl.Boolean, pl.Categorical, pl.Enum, pl.Null)  # and numbers, dates and times
 
 
 @dataclass
@@ -128,7 +129,7 @@ def _flat(name: str, column: pl.Series) -> Iterator[tuple[str, pl.Series]]:
         for each in column.struct.fields:
             yield from _flat(f"{name}.{each}", column.struct.field(each))
         return
-    if isinstance(column.dtype, pl.Array):
+    if isinstance(column.dtype, pl.Array) and column.dtype.inner != pl.Object:
         column = column.arr.to_list()
     sizes = column.list.len().unique().drop_nulls() if isinstance(column.dtype, pl.List) else pl.Series([])
     if len(sizes) == 1 and sizes.item() <= COLUMN_LIMIT and sizes.item() * len(column) <= VALUES:
@@ -140,15 +141,17 @@ def _flat(name: str, column: pl.Series) -> Iterator[tuple[str, pl.Series]]:
 
 def _unusable(column: pl.Series) -> str:
     """Return why a column cannot be used; empty: it can."""
-    if isinstance(column.dtype, pl.List):
+    kind = column.dtype
+    if isinstance(kind, pl.List):
         return "its lists differ in length, or are too long"
-    if isinstance(column.dtype, pl.Object | pl.Binary):
-        return f"its values are {column.dtype}, not numbers, texts or dates"
-    return ""
+    good = kind.is_numeric() or kind.is_temporal() or isinstance(kind, _USABLE)
+    return "" if good else f"its values are {kind}, not numbers, texts or dates"
 
 
 def _plain(column: pl.Series) -> pl.Series:
-    """Return a column of categories as texts, and one without values as numbers."""
+    """Return categories as texts, durations as times since 1970, and a column without values as numbers."""
+    if isinstance(column.dtype, pl.Duration):
+        return column.cast(pl.Duration("ns")).to_physical().cast(pl.Datetime("ns"))
     if isinstance(column.dtype, pl.Categorical | pl.Enum):
         return column.cast(pl.String)
     return column.cast(pl.Float64) if isinstance(column.dtype, pl.Null) else column

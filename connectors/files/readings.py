@@ -15,13 +15,15 @@ from operators.fingertip import Fingertip, usual_layout
 COUNT_LIMIT: Final = 32767  # largest absolute count
 
 _STEPS: Final = [float(f"{each}e{power}") for power in range(-12, 306) for each in ("1", "2", "2.5", "5")]
-_TOLERANCE: Final = 0.01  # of a step: float32 has 24 bits
+_TOLERANCE: Final = 0.01  # of a step, at most
+_FLOAT32: Final = 1e-5  # of the largest reading: float32 has 24 bits, of which a subtraction costs some
 _PRECISION: Final = 1e-10  # of the largest reading: float64 has 53 bits
+_NINES: Final = [float(f"{'9' * whole}.{'9' * part}") for whole in range(2, 8) for part in range(4)]
 _SENTINELS: Final = (  # usual values for no reading
-    *(-99.0, -999.0, -9999.0, -99999.0, 9999.0, 99999.0, -1.0),
-    *(32767.0, -32768.0, 65535.0, 4294967295.0, 1e10),
+    *(sign * value for value in (*_NINES, 1e10, 1e20, 1e30, 1e31, 1e37, 1e38) for sign in (-1, 1)),
+    *(-1.0, 32767.0, -32768.0, 65535.0, 2147483647.0, -2147483648.0, 4294967295.0),
 )
-_MANY, _FEW = 20, 4  # different values of a signal, and what is none any more
+_MANY, _FEW = 5, 4  # steps between values that become one, and different values of what is no signal any more
 _MOVES: Final = 0.25  # of the range of a cell, in the first second
 _SAMPLE: Final = 10_000  # rows for quantiles
 _ENOUGH: Final = 100  # rows, after which a cell that works has changed
@@ -69,7 +71,7 @@ def readings_of(table: RawTable, columns: ColumnMap) -> tuple[ColumnMap, Counts,
 
 
 def _check_signal(table: RawTable, readings: Reals, columns: ColumnMap, *, inherited: bool) -> None:
-    """Find cells of which a concluded resolution leaves few of many different readings.
+    """Find cells of which a concluded resolution leaves one reading, or few of many different ones.
 
     That is a problem if rare readings far from the others make the steps large, or if those of earlier files
     leave nothing; a cell that is pressed much less than the others is a warning.
@@ -78,7 +80,8 @@ def _check_signal(table: RawTable, readings: Reals, columns: ColumnMap, *, inher
     low, middle, high = (_quantiles(readings, share) for share in (0.01, 0.5, 0.99))
     for cell, some in enumerate(readings[:: len(readings) // _SAMPLE + 1].T):
         values = np.unique(some[(low[cell] <= some) & (some <= high[cell])])
-        if len(values) >= _MANY and len(np.unique(np.rint(values / step))) < _FEW:
+        left = len(np.unique(np.rint(values / step)))
+        if left < _FEW and len(values) - 1 > _MANY * (left - 1):
             lost.append(cell)
     if not lost:
         return
@@ -209,7 +212,8 @@ def _at_least(step: float) -> float:
 def _is_multiple(values: Reals, step: float) -> bool:
     """Return True if all readings are multiples of a step; NaN is missing."""
     parts = (values[:1000] / step, values / step)  # most other steps fail early
-    return not any(np.any(np.abs(part - np.rint(part)) > _TOLERANCE) for part in parts)
+    limit = min(_TOLERANCE, _FLOAT32 * np.nanmax(np.abs(values)) / step)
+    return not any(np.any(np.abs(part - np.rint(part)) > limit) for part in parts)
 
 
 def _is_zeroed(readings: Reals) -> bool:

@@ -27,12 +27,12 @@ from connectors.files.column_map import (
     shortened,
 )
 from connectors.files.raw_table import RawTable, listed
-from connectors.files.time_axis import is_text_of_time
+from connectors.files.time_axis import CLOCK, is_text_of_time
 from operators.fingertip import CELL_LIMIT, grid
 
 _NAMES: Final = {  # usual names, without blanks and signs, in lower case
     TIME: "t|time|time[mun]s|timestamp|stamp|datetime|elapsed|elapsedtime|seconds|sec|millis|micros|ms|us"
-    "|zeit|zeitstempel|uhrzeit",
+    "|zeit|zeitstempel|uhrzeit|temps|tiempo|tempo",
     DATE: "date|datum",
     SPEED: "speed|v|tcpspeed|geschwindigkeit",
     LABEL: "labels?|slip|isslip|slipping|schlupf|groundtruth",
@@ -54,11 +54,11 @@ _WORDS: Final = {  # usual values of labels
     }.items()
 }
 SLIP_WORD: Final = re.compile("slip|slid|rutsch|gleit|schlupf", re.IGNORECASE)
-_FINGERTIP: Final = re.compile(  # names of columns that tell which fingertip measured a row
-    "(finger|fingertip|sensor|side|hand|pad|device)(id|index|name|number|nr|no)?"
+_FINGERTIP: Final = re.compile(  # names of columns that tell which fingertip, or cell, measured a row
+    "(frame|finger|fingertip|sensor|side|hand|pad|device|node|board|module|mux|port|bus|i2c|mac|topic|source"
+    "|channel|ch|cell|taxel)?(id|index|name|number|nr|no|addr|address)?"
 )
-_FINGERTIPS: Final = 16  # at most, in such a column
-_FEW: Final = 20  # values of labels
+_FEW: Final = 20  # values of labels, or fingertips in such a column
 _HEAD: Final = 20  # rows that tell what a column is
 _NUMBER: Final = r"^[+-]?[\d.,]*\d[\deE.,+-]*$"
 _SYNONYMS: Final = {  # of units, in lower case
@@ -73,6 +73,7 @@ _SYNONYMS: Final = {  # of units, in lower case
     "V": "volt volts",
     "ohm": "\u03c9",
     "kohm": "k\u03c9",
+    **{f"{each}/s": f"{each}_s {each}ps {each}/sec" for each in ("m", "cm", "mm")},
 }
 _ALL_UNITS: Final = [unit for units in UNITS.values() for unit in units]
 _UNITS: Final = {  # by text; in lower case unless m would become M, or one letter another unit
@@ -82,7 +83,7 @@ _UNITS: Final = {  # by text; in lower case unless m would become M, or one lett
 }
 _TEMPERATURE: Final = re.compile(r"°.*|deg(rees)? ?[ckf]|celsius|kelvin|temp.*|[ckt]", re.IGNORECASE)
 _BRACKETS: Final = re.compile(r"(.+?)[ _]*[\[({<]\s*([^\])}>]*?)\s*[\])}>]")
-_ENDING: Final = re.compile(r"(.+?)(?:[ _]+(?:in )?|\s*/\s*)([^\d\s_/\[\]]+(?:/s)?)")
+_ENDING: Final = re.compile(r"(.+?)(?:[ _]+(?:in )?|\s*/\s*)([^\d\s_/\[\]]+(?:/s(?:ec)?)?|[cm]?m_s)")
 
 
 @dataclass(frozen=True)
@@ -111,11 +112,14 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
             found[COUNTS] = _cells(groups, table)
         elif not (keys or moves or (quantity == LABEL and stated.labelled)):
             found[quantity] = _usual(quantity, free, table)
-    if not found[TIME]:
-        del found[DATE]
-        if stated.rate is None and not stated.columns.get(TIME):
-            reason = "no column is recognised as time; state time=..., or rate=... if it has none"
-            table.add_problem(reason, about=TIME)
+    times = [table.columns[name] for name in found[TIME]]
+    of_day = any(each.dtype == pl.Time or is_text_of_time(each, CLOCK) for each in times)
+    if DATE not in mapped and not of_day:
+        dated = not times and TIME not in mapped and stated.rate is None  # a date with the time of day
+        found[TIME], found[DATE] = found[DATE] if dated else found[TIME], ()
+    if not found[TIME] and stated.rate is None and not stated.columns.get(TIME):
+        reason = "no column is recognised as time; state time=..., or rate=... if it has none"
+        table.add_problem(reason, about=TIME)
     found = {key: names for key, names in found.items() if names}
     used = {name for names in found.values() for name in names}
     unused = [each for each in free if each not in used]
@@ -139,15 +143,18 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
 
 def _check_interleaved(table: RawTable, unused: Sequence[str]) -> None:
     """Add the problem that rows of several fingertips alternate, by a column that tells the fingertip."""
-    for name in filter(lambda each: _FINGERTIP.fullmatch(_word(each)), unused):
+    for name in unused:
         column = table.columns[name]
         many, changes = column.n_unique(), int(column.rle_id()[-1])
-        if 1 < many <= _FINGERTIPS and changes > len(column) / 4:
+        if not 1 < many <= _FEW or changes <= len(column) / 4:
+            continue
+        text = f"column {name} alternates between {many}"
+        if _FINGERTIP.fullmatch(_word(name)):
             split = f"for (one,), rows in frame.group_by({name!r}): import_frame(rows, OUT, f'NAME-{{one}}')"
-            reason = (
-                f"column {name} alternates between {many} fingertips: import each in Python, with {split}"
-            )
+            reason = f"{text} fingertips: import each in Python, with {split}"
             table.add_problem(f"{reason}; or delete the column, if it does not tell fingertips")
+        elif (column == column.shift(many)).mean() == 1:
+            table.warn(f"{text} values in turn: if it tells fingertips apart, import each by itself")
 
 
 def cell_groups(names: Sequence[str]) -> list[CellGroup]:
@@ -156,7 +163,7 @@ def cell_groups(names: Sequence[str]) -> list[CellGroup]:
     for name in names:
         stem, unit = split_unit(COUNTS, name)
         match = _NUMBERED.fullmatch(stem)
-        if match and not (is_temperature(unit) and unit != "T") and not is_temperature(_word(match[5])):
+        if match and not has_temperature(name):
             numbers = tuple(int(each) for each in match.group(2, 4) if each)
             found.setdefault((match[1], match[3] or "", match[5], unit), {})[numbers] = name
     groups = list[CellGroup]()
@@ -168,7 +175,7 @@ def cell_groups(names: Sequence[str]) -> list[CellGroup]:
             names, rows = tuple(members[key] for key in numbered), len(axes[0]) if len(axes) > 1 else 0
             sure = bool(_CELL.fullmatch(_word(before)) and _READING.fullmatch(_word(after)))
             groups.append(CellGroup(names, rows, sure))
-    return [group for group in groups if not _word(group.names[0]).startswith("temp")]
+    return groups
 
 
 def unit_in(text: str, quantities: Collection[str] = UNITS.keys()) -> str:
@@ -191,9 +198,9 @@ def split_unit(quantity: str, name: str) -> tuple[str, str]:
     >>> split_unit("time", "t_ms"), split_unit("counts", "cell 1 [kPa]"), split_unit("counts", "b0_T")
     (('t', 'ms'), ('cell 1', 'kPa'), ('b0_T', ''))
     """
-    if (match := _BRACKETS.fullmatch(name)) and not match[2].isdecimal():
-        unit = unit_in(match[2], (quantity,))
-        if unit or (quantity == COUNTS and match[2]):
+    if (match := _BRACKETS.fullmatch(name)) and not re.fullmatch(r"\d[\d\W]*", match[2]):
+        unit, other = unit_in(match[2], (quantity,)), unit_in(match[2]) or _TEMPERATURE.fullmatch(match[2])
+        if unit or (match[2] and (quantity == COUNTS or (quantity in MOTIONS and not other))):
             return match[1].strip(), unit or match[2]
         return name.strip(), ""
     match = _ENDING.fullmatch(name)
@@ -206,9 +213,11 @@ def split_unit(quantity: str, name: str) -> tuple[str, str]:
     return name.strip(), ""
 
 
-def is_temperature(text: str) -> bool:
-    """Return True for a unit, or the ending of a name, of a temperature, such as ``degC`` or ``T``."""
-    return bool(_TEMPERATURE.fullmatch(text))
+def has_temperature(name: str) -> bool:
+    """Return True if a name, or its unit, tells that a numbered column is a temperature."""
+    stem, unit = split_unit(COUNTS, name)
+    kelvin = unit != "T" and _TEMPERATURE.fullmatch(unit)
+    return bool(kelvin or _TEMPERATURE.fullmatch(_suffix(stem)) or _word(name).startswith("temp"))
 
 
 def label_values(labels: Mapping[str, Sequence[str]]) -> dict[str, str]:
@@ -235,7 +244,7 @@ def _matched(key: str, names: Sequence[str], table: RawTable) -> tuple[str, ...]
     for name in names:
         if name in table.columns:
             found.append(name)
-        elif matches := [each for each in table.columns if "*" in name and fnmatchcase(each, name)]:
+        elif matches := [each for each in table.columns if set("*?") & {*name} and fnmatchcase(each, name)]:
             found += sorted(matches, key=lambda each: [int(part) for part in re.findall(r"\d+", each)])
         elif name in table.left_out:
             table.add_problem(f"column {name} cannot be used: {table.left_out[name]}")
@@ -252,7 +261,7 @@ def _matched(key: str, names: Sequence[str], table: RawTable) -> tuple[str, ...]
 def _usual(quantity: str, free: Sequence[str], table: RawTable) -> tuple[str, ...]:
     """Return those of the `free` columns with a usual name of a quantity; none, if there are none."""
     if quantity == VELOCITY:
-        axes = {_word(each): each for each in free}
+        axes = {_word(split_unit(VELOCITY, each)[0]): each for each in free}
         size = next((size for size in (6, 3) if set(_AXES[:size]) <= set(axes)), 0)
         return tuple(axes[axis] for axis in _AXES[:size])
     names = [name for name in free if _has_usual_name(quantity, name)]
@@ -300,13 +309,12 @@ def _units(found: Mapping[str, Sequence[str]], stated: ColumnMap, table: RawTabl
         if len(known) > 1:
             columns = " and ".join(f"{name} has {each or 'no unit'}" for each, name in known.items())
             problem = f"units differ, {columns}: convert them to one, or state units.{quantity}=..."
-        elif quantity == COUNTS and any(
-            is_temperature(_suffix(split_unit(COUNTS, each)[0])) for each in names
-        ):
+        elif quantity == COUNTS and any(map(has_temperature, (*names, *(f"x [{each}]" for each in known)))):
             problem = f"column {names[0]} is a temperature, not a cell (or state units.counts=...)"
         elif unit and choices and unit not in choices:
             must_be = f"must be {' or '.join(choices)}"
             problem = f"unit {unit} of column {names[0]} {must_be}: state units.{quantity}=..., or convert it"
+            problem += f" (or leave it out by {quantity}=)" if quantity in MOTIONS else ""
         elif quantity == TIME and not unit:
             unit = unit_in(_word(names[0]).removeprefix("time"), (TIME,))
         if problem:
@@ -338,19 +346,24 @@ def _suggested(
         free = [name for name in free if {*values[name]} != {0, 1}]  # those may be labels
         several = [group.names for group in groups if len(group.names) > 1 and {*group.names} <= {*free}]
         others = {name for name in free for quantity in _NAMES if _has_usual_name(quantity, name)}
+        others |= {name for name in free if has_temperature(name) or _FINGERTIP.fullmatch(_word(name))}
         heads = {name: table.columns[name].head(_HEAD).cast(pl.String) for name in free if name not in others}
         numbers = tuple(name for name, head in heads.items() if head.str.contains(_NUMBER).all())
-        numbers = () if table.left_out else numbers[:CELL_LIMIT]  # rather no list than one without a cell
+        if not several and len(numbers) <= CELL_LIMIT and not table.left_out:  # a list of all cells or none
+            several = [numbers]
         if [len(each) for each in several] == 2 * [len(several[0]) if several else 0]:
             items += [f"counts.{finger}={shortened(names)}" for finger, names in enumerate(several)]
         else:
-            items.append(f"counts={shortened(several[0] if several else numbers) or 'NAME,NAME'}")
+            cells = shortened(several[0]) if len(several) == 1 else ""
+            items.append(f"counts={cells or 'NAME,NAME'}")
     return items
 
 
 def _rises(column: pl.Series) -> bool:
-    values = column.head(_HEAD).cast(pl.Float64, strict=False).drop_nulls()
-    return len(values) > 1 and bool((values.diff().drop_nulls() > 0).all())
+    """Return True for dates, and for numbers that rise; not if they count the rows."""
+    text = column.str.replace(",", ".", literal=True) if column.dtype == pl.String else column
+    steps = text.cast(pl.Float64, strict=False).diff().drop_nulls()
+    return is_text_of_time(column) or bool(len(steps) and (steps > 0).all() and (steps != 1).any())
 
 
 def _quantity(key: str) -> str:

@@ -127,7 +127,7 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
     above = [number for number in range(first) if lines[number].strip()]
     units = [each.strip("[](){}<> ") for each in _fields(lines[above[-1]], sign)] if above[1:] else []
     filled = [each for each in units if each.strip("-")]
-    known = 2 * sum(bool(unit_in(each)) for each in filled) > len(filled)
+    known = 2 * sum(bool(unit_in(each)) for each in filled) > len(filled) or len({*filled}) < len(filled)
     widths = [len(_fields(lines[number], sign)) for number in above[-2:]]  # of the names, and of the units
     units = units if known and min(widths) >= width - 1 else []
     above = above[:-1] if units else above

@@ -30,14 +30,18 @@ _WRAPS: Final[Mapping[int, str]] = {  # ns: after which clocks start again at 0
     4_294_967_296_000: "32-bit clock of microseconds",
     4_294_967_296_000_000: "32-bit clock of milliseconds",
     65_536_000_000: "16-bit clock of milliseconds",
+    3_600_000_000_000: "time within an hour",
     86_400_000_000_000: "time of day",
 }
 _LIMIT: Final = float(1 << 63)  # ns
 _EPOCHS: Final = (9e8, 4.2e9)  # s; from 1998 to 2103
 _DIGITS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}  # decimal places of a time, down to 1 ns
+CLOCK: Final = r"^\d{1,2}:\d{2}"
 _CLOCK: Final = r"\d{1,2}:\d{2}"
+_TEXT: Final = rf"{_CLOCK}|^\d{{4}}-\d{{1,2}}-|^\d{{1,2}}[./-]\d{{1,2}}[./-]\d"
 _FORMS: Final = {  # that texts of times are brought into before they are parsed
     r"^(\d{1,4})[-/. ](\d{1,2}|[A-Za-z]{3})[-/. ](\d{1,4})[T_,; ]+": "${1}-${2}-${3} ",
+    rf"^({_CLOCK}[.,]\d)": "1970-01-01 00:${1}",  # minutes and seconds
     rf"^({_CLOCK}(?::|$| ))": "1970-01-01 ${1}",
     r"(:\d{2}),(\d)": "${1}.${2}",
     r" ?(?:Z|UTC|GMT)$": "+00:00",
@@ -45,6 +49,7 @@ _FORMS: Final = {  # that texts of times are brought into before they are parsed
 }
 _ORDERS: Final = {"ymd": "%Y-%m-%d", "dmy": "%d-%m-%Y", "mdy": "%m-%d-%Y"}
 _CLOCKS: Final = ("%H:%M:%S%.f", "%I:%M:%S%.f %p", "%H:%M", "%I:%M %p")
+_DATE: Final = "a date and time such as 2025-03-26 14:29:06.01 (or state time=,rate=...)"
 _YEAR: Final = r"(?:^|-)(?:19[7-9]\d|2[01]\d\d|22[0-5]\d|226[01])[- ]"  # of times in ns
 
 
@@ -64,7 +69,8 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
     [name], dates = columns.columns[TIME], columns.columns.get(DATE)
     column = table.columns[name]
     if dates:
-        column = table.columns[dates[0]].cast(pl.String) + " " + column.cast(pl.String)
+        clock = column.dt.to_string("%H:%M:%S%.9f") if column.dtype == pl.Time else column.cast(pl.String)
+        column = table.columns[dates[0]].cast(pl.String) + " " + clock
     texts = is_text_of_time(column)
     textual = texts or column.dtype.is_temporal()
     order = columns.dates or (date_order(table, (dates or [name])[0]) if texts else "ymd")
@@ -74,7 +80,7 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
     unit = stated or epoch or "s"
     columns = replace(columns, units={**columns.units, TIME: unit}, dates=order)
     raw = of_texts(column, order) if texts else of_numbers(column, columns)
-    what = "a whole number of ns" if unit == "ns" else "a date and time" if textual else f"a time in {unit}"
+    what = "a whole number of ns" if unit == "ns" else _DATE if textual else f"a time in {unit}"
     table.check(name, raw.is_not_null().to_numpy(), what)
     if raw.null_count():
         return columns, unknown, ()
@@ -82,7 +88,7 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
     parts = _parts(table, name, time, split=split)
     rate = _rate(table, name, time, parts, columns.rate)
     plausible = rate is None or SLOWEST <= rate <= FASTEST
-    if rate and not (plausible or stated):
+    if rate and not (plausible or stated) and (split or len(parts) == 1):
         _add_unit_problem(table, name, rate, unit)
     if not plausible:
         table.warn(f"the rate is {rate:.4g} Hz: is the time in another unit?")
@@ -127,13 +133,15 @@ def continued(time: Times, notes: list[str]) -> Times:
 
 def _add_unit_problem(table: RawTable, name: str, rate: float, unit: str) -> None:
     """Add the problem that the unit of the time is not stated, and the concluded one is implausible."""
-    scales = {each: UNITS[TIME][unit] / UNITS[TIME][each] for each in ("s", "ms", "us", "ns", "min")}
-    others = {each: rate * scale for each, scale in scales.items() if each != unit}
+    tried = ("s", "ms", "us", "ns", "min")
+    others = {each: rate * UNITS[TIME][unit] / UNITS[TIME][each] for each in tried if each != unit}
     likely = [f"units.time={each} ({hz:.4g} Hz)" for each, hz in others.items() if SLOWEST <= hz <= FASTEST]
     if len(table) >= _ENOUGH:
         reason = f"column {name} has no unit, in {unit} its rate is {rate:.4g} Hz"
         remedy = " or ".join(likely) or "another unit (convert days with polars)"
         fix = likely[0].partition(" ")[0] if likely else None
+        if rate == 1:
+            remedy, fix = f"time=,rate=... if it counts rows, {remedy}", "time=,rate=ROWS_PER_SECOND"
         table.add_problem(f"{reason}; state {remedy}, or units.time={unit}", fix=fix)
 
 
@@ -142,6 +150,7 @@ def _parts(table: RawTable, name: str, time: Times, *, split: bool) -> Parts:
     back = np.flatnonzero(np.diff(time) < 0) + 1
     parts = tuple(pairwise([0, *back.tolist(), len(time)]))
     strays = [row for row in (_stray(time, row) for row in back[:_MOST].tolist()) if row]
+    strays = strays or [start for start, stop in parts[1:] if stop - start == 1]
     sizes = ", ".join([*(str(stop - start) for start, stop in parts[:_SHOWN]), "..."][: len(parts)])
     must_be = f"no less than in the {table.place} before; if the logger started again,"
     must_be += f" --split makes {len(parts)} sessions ({sizes} rows)"
@@ -189,17 +198,15 @@ def _epoch_unit(values: pl.Series) -> str:
     return next(fits, "")
 
 
-def is_text_of_time(column: pl.Series) -> bool:
-    """Return True if the first value of a column is a date or a time of day."""
-    if column.dtype != pl.String:
-        return False
-    filled = column.filter(column != "").head(1)
-    return bool(filled.str.contains(rf"{_CLOCK}|^\d{{4}}-\d{{1,2}}-|^\d{{1,2}}[./-]\d{{1,2}}[./-]\d").any())
+def is_text_of_time(column: pl.Series, pattern: str = _TEXT) -> bool:
+    """Return True if the first value of a column is a text of a pattern, usually any date or time of day."""
+    texts = column.dtype == pl.String
+    return texts and bool(column.filter(column != "").head(1).str.contains(pattern).any())
 
 
 def date_order(table: RawTable, name: str) -> str:
     """Conclude the order of day, month and year in the dates of a column: ``ymd``, ``dmy`` or ``mdy``."""
-    texts = table.columns[name].unique()
+    texts = table.columns[name].cast(pl.String).unique()
     parts = texts.str.extract_groups(r"^(\d{1,2})([-/. ])(\d{1,2}|[A-Za-z]{3})[-/. ]\d{4}").struct.unnest()
     parts = parts.drop_nulls()
     first, second = (parts[each].cast(pl.Int64, strict=False) for each in ("1", "3"))
@@ -220,8 +227,7 @@ def of_numbers(column: pl.Series, columns: ColumnMap) -> pl.Series:
     """
     kind, unit = column.dtype, columns.units.get(TIME, "s")
     if kind.is_temporal():
-        wanted = kind if kind == pl.Time else pl.Duration("ns") if kind == pl.Duration else pl.Datetime("ns")
-        return column.cast(wanted, strict=False).to_physical()
+        return column.cast(kind if kind == pl.Time else pl.Datetime("ns"), strict=False).to_physical()
     column = plain(column, columns.decimal_sign)
     if kind.is_float() or unit not in _DIGITS:
         return _rounded(column.cast(pl.Float64, strict=False), unit)

@@ -126,7 +126,7 @@ def interpreted(
         return interpret(read_table(Path(source), columns.separator), columns, split=split)
     try:
         source = _upright(source) if isinstance(source, Mapping) else _with_index(source)
-        frame = source if isinstance(source, pl.DataFrame) else pl.DataFrame(source)
+        frame = source if isinstance(source, pl.DataFrame) else pl.DataFrame(source, infer_schema_length=None)
     except (TypeError, ValueError, OverflowError, pl.exceptions.PolarsError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(name, f"cannot become a DataFrame of polars: {reason:.200}") from None

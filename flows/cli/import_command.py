@@ -8,10 +8,7 @@ import typer
 
 from flows.cli.terminal import note, progress_bar
 
-_LEFT_OUT: Final = {  # by the state of an import
-    "present": "; delete it there to import it again",
-    "differs": " with another map, group or split; delete it there to replace it",
-}
+_LEFT_OUT: Final = "left out, the dataset has it; delete it there to import it again, as with another map"
 
 
 def import_(
@@ -74,12 +71,12 @@ def import_(
                 failed += 1
                 typer.echo(f"error: {found}" if str(path) in str(found) else f"error: {path}: {found}")
                 continue
-            last, left_out = found.session, found.state in _LEFT_OUT
+            last, left_out = found.session, found.state == "present"
             if dry_run or not left_out:
                 typer.echo(found.report(short=found.interpretation() == columns_before))
                 columns_before = found.interpretation()
             if left_out:
-                typer.echo(f"{found.session}: left out, the dataset has it{_LEFT_OUT[found.state]}")
+                typer.echo(f"{found.session}: {_LEFT_OUT}")
     if failed:
         note(f"error: {failed} of {counted(len(files), 'file')} cannot be imported: repair and repeat")
         raise typer.Exit(2)

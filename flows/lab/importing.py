@@ -1,7 +1,6 @@
 """Import of recordings as sessions of a dataset, for replay, training and evaluation."""
 
 import asyncio
-import json
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -68,8 +67,7 @@ class TraceImport:
         trace: The trace.
         out: Folder of the dataset; created if absent.
         session: Name of the session.
-        state: ``written``; ``present`` if the dataset had it, ``differs`` if it had it with another
-            description; or ``checked``: read but not written.
+        state: ``written``; ``present`` if the dataset had it; or ``checked``: read but not written.
     """
 
     trace: Trace
@@ -182,12 +180,6 @@ class TraceImport:
         fingers = " and ".join(map(str, self.trace.fingers(Touch)))
         return "\n".join([*lines, f"session {self.session} of {self.out}, finger {fingers}{stated}"])
 
-    def source(self) -> dict[str, Any]:
-        """Return what session.json states of the touch: the description and the fingertip of the trace."""
-        tip = self.trace.part.fingertip
-        about: dict[str, Any] = json.loads(json.dumps(self.trace.describe()))
-        return about if tip is None else {**about, "fingertip": tip.describe()}
-
 
 def import_frame(
     frame: Any,
@@ -255,24 +247,22 @@ def import_files(
         raise ParameterError("import", "OUT", str(out), "a folder: the last argument is the dataset to write")
     names = _session_names(paths)
     abouts = [{**_group_of(path, group), **_split_of(path)} for path in paths]
-    sources, steps = _sessions(out)
+    hashes, steps = _sessions(out)
     for path, name, about in zip(paths, names, abouts, strict=True):
         try:
             parts = _parts(path, columns, steps, split=split)
             for number, part in enumerate(parts, 1):
                 ending = f"-{number}" if len(parts) > 1 else ""
                 found = TraceImport(Trace(part, name=str(path), about=about), out, f"{name}{ending}")
-                same = [each for each, source in sources.items() if source.get("sha256") == part.sha256]
+                same = [each for each, sha256 in hashes.items() if sha256 == part.sha256]
                 if present := next((each for each in same if each.endswith(ending)), None):
-                    found.session = present
-                    alike = {**found.source(), "trace": ""} == {**sources[present], "trace": ""}
-                    found.state = "present" if alike else "differs"
-                elif found.session in sources:
+                    found.session, found.state = present, "present"
+                elif found.session in hashes:
                     reason = f"already has a session {found.session!r} of another file: rename the file"
                     raise InputError(str(out), reason)
                 elif not dry_run:
                     found.write()
-                sources[found.session] = found.source()
+                hashes[found.session] = part.sha256
                 yield path, found
         except SlipflowError as error:
             if len(paths) == 1:
@@ -297,18 +287,18 @@ def _check_rate(part: Part) -> None:
         raise InputError(part.file, "has no two times, which tell the rate; state rate=... (rows per second)")
 
 
-def _sessions(out: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float]]:
-    """Return what the sessions of a dataset state of their touch, by name, and its resolution by unit."""
-    sources, steps = dict[str, dict[str, Any]](), dict[str, float]()
+def _sessions(out: Path) -> tuple[dict[str, str], dict[str, float]]:
+    """Return the sha256 of the files of a dataset's sessions, by name, and its resolution by unit."""
+    hashes, steps = dict[str, str](), dict[str, float]()
     for folder in session_folders(out) if (out / SESSIONS).is_dir() else ():
         try:
             about: Any = read_session(folder)
         except InputError:  # damaged: only its name counts
             about = {}
-        sources[folder.name] = (about.get("sources") or {}).get("touch") or {}
+        hashes[folder.name] = str(((about.get("sources") or {}).get("touch") or {}).get("sha256", ""))
         if tip := (about.get("fingertips") or {}).get("touch"):
             steps.setdefault(str(tip["unit"]), float(tip["resolution"]))
-    return sources, steps
+    return hashes, steps
 
 
 def _session_names(paths: Sequence[Path]) -> list[str]:

@@ -67,7 +67,10 @@ def test_a_number_is_read_or_its_format_is_refused(numbers: list[float], decimal
             ["101.248", "7"],
             "may have decimals or thousands; state decimal=point and a unit, as units.counts=kPa, or",
         ),
-        (["3,000", "4,000"], "decimal=comma, or remove the signs .*; try --map decimal=comma"),
+        (
+            ["3,000", "4,000"],
+            "decimal=comma and a unit, as units.counts=kPa, or remove the signs of thousands .*\\)$",
+        ),
         (["0.01", "101,248"], r"both point and comma, .* \(column p0: 0.01 and column p0: 101,248\): remove"),
         (["1.234,5", "7"], r"both point and comma, .* \(column p0: 1.234,5 and column p0: 1.234,5\): remove"),
     ],
@@ -118,7 +121,8 @@ def test_dates_are_read_in_each_order(
         ("14:29:06:01", None),
         ("20250326 142906", None),
         ("14:29:06:010", None),
-        ("29:06.5", None),
+        ("29:06.5", 1746500 * ms),
+        ("29:06", None),
         ("0 days 00:00:01.5", None),
         ("26.03.25 14:29:06", None),
         ("2025-02-30 10:00:00", None),
@@ -143,7 +147,9 @@ def trace(times: list[object], columns: str = "", name: str = "t", **more: list[
 @given(
     first=st.integers(1, 99),
     interval=st.integers(200, 20_000),
-    clock=st.sampled_from([(2**32, "us"), (2**32, "ms"), (2**16, "ms"), (86_400_000, "ms")]),
+    clock=st.sampled_from(
+        [(2**32, "us"), (2**32, "ms"), (2**16, "ms"), (3_600_000, "ms"), (86_400_000, "ms")]
+    ),
 )
 def test_a_clock_that_wraps_goes_on_with_a_note(first: int, interval: int, clock: tuple[int, str]) -> None:
     span, unit = clock
@@ -198,6 +204,8 @@ def test_a_time_without_unit_is_refused_if_seconds_are_implausible() -> None:
             trace([1_000_000_000 + step * k for k in range(60)])
     with pytest.raises(InputError, match=r"state another unit \(convert days with polars\), or units.time=s"):
         trace([45742.6 + k / 8_640_000 for k in range(60)])
+    with pytest.raises(InputError, match=r"state time=,rate=... if it counts rows, .*,rate=ROWS_PER_SECOND,"):
+        trace([*range(60)])
     assert trace([10 * k for k in range(60)], "units.time=ms").columns.rate == 100
     assert any(
         "is the time in another unit" in each
@@ -255,6 +263,9 @@ def test_a_row_out_of_order_is_named(
     frame["t"][[*rows]] = times
     with pytest.raises(InputError, match=rf"row {stray}, column t: is .*, must be in order: sort the rows"):
         interpreted(frame, split=split)
+    frame["t"] = np.arange(60)[::-1] / 100
+    with pytest.raises(InputError, match=r"row 1, column t: is 0\.58, must be in order: sort the rows"):
+        interpreted(frame, split=split)
 
 
 def test_the_warnings_of_a_part_are_of_its_own_rows() -> None:
@@ -265,6 +276,16 @@ def test_the_warnings_of_a_part_are_of_its_own_rows() -> None:
     assert ["pauses: 1" in "".join(each.warnings) for each in (first, second)] == [False, True]
     with pytest.raises(InputError, match="row 50: begins a part without readings: delete the part"):
         interpreted({"t": time, "p0": [*range(50), *[None] * 50]}, ColumnMap.parse("counts=p0"), split=True)
+
+
+def test_a_date_belongs_to_a_time_of_day_or_is_the_time_itself() -> None:
+    clock, day = [dt.time(14, 29, 6 + k // 100, k % 100 * 10_000) for k in range(120)], dt.date(2025, 3, 26)
+    for clocks, days in ((clock, [day] * 120), ([*map(str, clock)], [day.isoformat()] * 120)):
+        found = trace([*clocks], Date=[*days])
+        assert (found.columns.columns["date"], found.touch.time[1]) == (("Date",), 1742999346010 * ms)
+    seconds = trace([k / 100 for k in range(60)], Date=["2025-03-26"] * 60)
+    assert (seconds.columns.rate, "date" in seconds.columns.columns) == (100, False)
+    assert trace([f"26.03.2025 {each}" for each in clock], name="Datum").columns.rate == 100
 
 
 def test_dates_that_may_begin_with_day_or_month_are_refused() -> None:

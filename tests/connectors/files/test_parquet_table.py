@@ -11,8 +11,9 @@ import pytest
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from connectors.files.interpretation import speeds_of
-from operators.batch import Motion, Touch
+from operators.batch import Motion, Touch, s
 from operators.errors import InputError
+from storage.arrow import pa, pq
 
 SHARED = Path(__file__).parents[3].parent / "shared/real"
 
@@ -44,6 +45,25 @@ def test_columns_of_any_type_are_read(path: Path) -> None:
     assert trace.part.labels.tolist() == [1, 0, -1, 0]
     with pytest.raises(InputError, match="column raw cannot be used: its values are Binary"):
         _ = Trace(path, ColumnMap.parse("counts=raw")).part.touch
+
+
+def test_columns_of_rare_types_are_read_or_left_out(path: Path) -> None:
+    time, cells = np.arange(50) * 10_000_000, {"p0": np.arange(50), "p1": np.arange(50) % 7}
+    passed = pa.array(time, pa.duration("ns"))
+    for columns in (
+        {"elapsed": passed, **cells},
+        {
+            "t": time / s,
+            "since": passed,
+            **cells,
+            "note": pa.array([[("a", 1.0)]] * 50, pa.map_(pa.string(), pa.float64())),
+        },
+    ):
+        pq.write_table(pa.table(columns), path)
+        assert Trace(path).part.touch.time.tolist() == time.tolist()
+    pq.write_table(pa.table([pa.array(time / s), *cells.values(), passed], [*"t", *cells, "p0"]), path)
+    with pytest.raises(InputError, match="column p0 cannot be used: it occurs twice"):
+        _ = Trace(path).part
 
 
 def test_an_invalid_value_is_named_by_row_and_column(path: Path) -> None:

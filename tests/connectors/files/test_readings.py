@@ -63,6 +63,7 @@ def test_readings_come_back_within_half_a_step_that_is_as_fine_as_16_bits_allow(
         ([98270.25, 98262.0, 98271.75], "Pa", 0.25, True),
         ([0.0, 0.0, 0.0], "N", 1, False),
         ([0.125, 0.375, 2.0], "N", 0.025, False),
+        ([0.0012, 0.0041, 5.0007], "N", 0.0001, True),  # noise of less than a hundredth of 1 N
     ],
 )
 def test_the_resolution_keeps_all_digits_if_it_can(
@@ -138,6 +139,21 @@ def test_an_automatic_resolution_that_destroys_a_signal_is_refused_with_its_caus
         if "almost" in each
     ]
     assert warning.startswith("steps of 10000 kPa make p0 p1 almost constant: import cells of other")
+
+
+@pytest.mark.parametrize("value", [-999.9, 9999.99, -1e30, 2.0**31 - 1, -(2.0**31), 5e7])
+def test_a_value_for_no_reading_does_not_make_a_quiet_signal_constant(value: float) -> None:
+    cells = [[100 + k * 7 % 9 / 100 for k in range(60)] for _ in range(2)]
+    cells[1][40] = value
+    if value == 5e7:  # of no known meaning
+        with pytest.raises(
+            InputError, match=r"almost constant; row 40, column p1 is 50000000: state missing="
+        ):
+            _ = Trace(table(*cells), columns("kPa")).part
+        return
+    found = Trace(table(*cells), columns("kPa")).part
+    assert (found.resolution, np.argwhere(~found.touch.valid).tolist()) == (0.01, [[40, 1]])
+    assert "row 40, column p1 is" in found.warnings[0]
 
 
 def described(text: str, cells: int = 4, base: float = 100) -> Fingertip:

@@ -1,6 +1,7 @@
 """Roles, units and layouts by the names of columns."""
 
 import re
+import shlex
 from collections.abc import Sequence
 
 import polars as pl
@@ -35,7 +36,12 @@ def roles(names: Sequence[str], columns: str = "") -> ColumnMap:
         (("t", *CELLS, "vx", "vy", "v", "V"), {"speed": ("v",)}),  # V are volts
         # T is a temperature, b1 alone no fingertip
         (("t", "T", *CELLS, "b1"), {"time": ("t",), "counts": CELLS}),
-        (("Date", "Time", *CELLS), {"date": ("Date",), "time": ("Time",)}),
+        (
+            ("t", *CELLS, *(f"v{axis} [mm/s]" for axis in "xyz")),
+            {"velocity": ("vx [mm/s]", "vy [mm/s]", "vz [mm/s]")},
+        ),
+        (("t", *CELLS, "v [V]"), {"counts": CELLS}),
+        (("t", *(f"taxel[{k},1]" for k in range(3))), {"counts": ("taxel[0,1]", "taxel[1,1]", "taxel[2,1]")}),
         (("t", *(f"b{i}_{what}" for i in range(3) for what in "PT")), {"counts": ("b0_P", "b1_P", "b2_P")}),
         (("t", "p0 [kPa]", "p1 [kPa]", "T0 [degC]", "T1 [degC]"), {"counts": ("p0 [kPa]", "p1 [kPa]")}),
     ],
@@ -65,11 +71,23 @@ def test_names_of_row_and_column_give_the_layout(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "names", [("s2",), ("s1", "s3"), ("s2", "s3"), ("left", "right"), ("b0_T", "b1_T"), ("temp0", "temp1")]
+    ("names", "counts"),
+    [
+        *(((name,), name) for name in ("s2", "s1,s3", "s2,s3", "left,right")),
+        *((names, "NAME,NAME") for names in (("b0_T", "b1_T"), ("temp0", "temp1"), ("s0 [C]", "s1 [C]"))),
+        (tuple(f"p{k}" for k in range(129)), "NAME,NAME"),  # more than a fingertip has
+        (tuple(f"{row}{k}" for row in "ABC" for k in (1, 2)), "NAME,NAME"),  # one row, or all?
+        (("tip, kPa", "side, kPa"), "tip? kPa,side? kPa"),
+    ],
 )
-def test_other_columns_are_no_fingertip(names: tuple[str, ...]) -> None:
-    with pytest.raises(InputError, match=rf"state counts=.*; try --map time=t,counts={','.join(names)}$"):
+def test_other_columns_are_no_fingertip(names: tuple[str, ...], counts: str) -> None:
+    names = tuple(counts.split(",")) if names == (counts,) else names
+    with pytest.raises(InputError) as caught:
         roles(("t", *names))
+    [_, suggested] = shlex.split(str(caught.value).rpartition("; try ")[2])
+    assert suggested == f"time=t,counts={counts}"
+    if "NAME" not in counts:
+        assert roles(("t", *names), suggested).cell_names == [*names]
 
 
 def test_a_temperature_is_no_cell_even_if_it_is_mapped() -> None:
@@ -109,6 +127,7 @@ def test_an_error_lists_all_problems_with_a_map_of_the_columns(
     ("names", "units"),
     [
         (("Time_us", "b0", "b1", "speed [mm/s]"), {"time": "us", "counts": "count", "speed": "mm/s"}),
+        (("elapsed_time_s", "b0", "b1", "tcp_speed_mm_s"), {"time": "s", "counts": "count", "speed": "mm/s"}),
         (("millis", "p0 [mPa]", "p1 [mPa]"), {"time": "ms", "counts": "mPa"}),
         (("t [\u00b5s]", "p0 [mmHg]", "p1 [mmHg]"), {"time": "us", "counts": "mmHg"}),
         (("t", "p0 [a.u.]", "p1 [a.u.]"), {"counts": "count"}),
@@ -131,6 +150,11 @@ def test_units_are_read_from_the_names(names: tuple[str, ...], units: dict[str, 
             ("t", "left [kPa]", "right"),
             "counts=left [kPa],right",
             "left [kPa] has kPa and right has no unit",
+        ),
+        (
+            ("t", *CELLS, "speed [mm/min]"),
+            "speed=speed [mm/min]",
+            "unit mm/min of column speed [mm/min] must be m/s",
         ),
         (
             ("t", *CELLS, "vx [mm/s]", "vy [mm/s]", "vz"),
@@ -164,14 +188,17 @@ def test_the_angular_velocity_may_have_a_unit_of_its_own() -> None:
         ([*range(60)], False),
     ],
 )
-def test_rows_of_fingertips_that_alternate_are_refused(fingers: list[object], *, refused: bool) -> None:
-    frame = {"t": [*range(60)], "p0": [*range(60)], "p1": [*range(60)], "sensor_id": fingers}
+@pytest.mark.parametrize("name", ["sensor_id", "id", "topic", "i2c_addr", "channel", "what"])
+def test_rows_of_fingertips_that_alternate_are_refused(
+    name: str, fingers: list[object], *, refused: bool
+) -> None:
+    frame = {"t": [*range(60)], "p0": [*range(60)], "p1": [*range(60)], name: fingers}
     table = RawTable.of(pl.DataFrame(frame), "pad")
     completed(table, ColumnMap())
-    reasons = [reason for _, reason in table.problems.values()]
+    reasons = [reason for _, reason in (table.warnings if name == "what" else table.problems.values())]
     assert len(reasons) == refused
     for reason in reasons:
-        assert reason.startswith("column sensor_id alternates between 2 fingertips: import each in Python")
+        assert reason.startswith(f"column {name} alternates between 2")
 
 
 @pytest.mark.parametrize(
@@ -202,10 +229,10 @@ def test_a_suggested_map_has_neither_labels_nor_some_of_the_cells() -> None:
 
 
 def test_case_counts_where_it_carries_meaning() -> None:
-    assert [unit_in(each) for each in ("mPa", "MPa", "mN", "T", "kPA", "Pa", "PSI", "MS")] == [
-        *("mPa", "MPa", "mN", "T", "kPa", "Pa", "psi", "ms")
+    assert [unit_in(each) for each in ("mPa", "MPa", "mN", "g", "G", "kPA", "Pa", "PSI", "MS")] == [
+        *("mPa", "MPa", "mN", "g", "G", "kPa", "Pa", "psi", "ms")
     ]
-    assert not any(map(unit_in, ("MPA", "MN", "t", "g", "v", "Mv")))
+    assert not any(map(unit_in, ("MPA", "MN", "t", "v", "Mv")))
     with pytest.raises(
         InputError, match=r"unit MPA of column p0 \[MPA\] must be mPa or MPa: state units\.counts="
     ):

@@ -83,6 +83,9 @@ def test_an_unknown_unit_matters_only_if_its_column_is_used(write: Write) -> Non
     with pytest.raises(InputError, match=reason):
         _ = Trace(path).part
     assert list(read_table(write(f"A title\nms,N,slip\n{BODY}")).columns) == ["ms", "N", "slip"]
+    assert Trace(write(f"t,p0,p1\ns,inH2O,inH2O\n{BODY}")).part.columns.unit == "inH2O"
+    with pytest.raises(InputError, match="column p0 is a temperature, not a cell"):
+        _ = Trace(write(f"t,p0,p1\ns,degC,degC\n{BODY}")).part
 
 
 def test_windows_1252_is_read(tmp_path: Path) -> None:

@@ -343,3 +343,7 @@ def test_arrays_of_several_columns_are_cells_and_other_data_is_refused() -> None
         _ = Trace(twice).part.touch
     with pytest.raises(InputError, match="table: has no rows"):
         _ = Trace({}).part.touch
+    late = [{"t": k / 100, "p0": k, **({"v": 0.01} if k > 150 else {})} for k in range(200)]
+    assert len(Trace(late).part.motion) == 49
+    with pytest.raises(InputError, match="cells cannot be used: its values are Array"):
+        _ = Trace({"t": [0.0, 0.1], "cells": np.ones((2, 2), complex)}).part
