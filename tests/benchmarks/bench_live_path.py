@@ -165,13 +165,9 @@ async def run(port: int) -> str:
         result = await running
     wall = last["wall"] - first["wall"]
     shares = {name: (last[name] - value) / wall for name, value in first.items()}  # CPU, of one core
-    scans, dataset = cast("dict[str, int]", touch.describe()["scans"]), result.sinks["dataset"]
-    rows = {name: each.rows for name, each in result.sources.items()} | {"dataset": dataset.rows}
-    lost = {
-        "touch": len(FINGERS) * (scans["missed"] + scans["silent"]),
-        "motion": result.sources["motion"].missing,
-        "dataset": dataset.dropped,
-    }
+    dataset = result.sinks["dataset"]
+    rows = {name: (each.rows, each.missing) for name, each in result.sources.items()}
+    rows["dataset"] = dataset.rows, dataset.dropped
     delays = [
         ((now - touch.arrivals[finger, stamp]) / ms, (now - stamp) / ms) for finger, stamp, now in told.events
     ]
@@ -179,8 +175,7 @@ async def run(port: int) -> str:
         [
             *cpu_table(shares),
             f"{'rows':20}{'in':>10}{'missing':>10}",
-            *(f"{name:20}{rows[name]:10}{missing:10}" for name, missing in lost.items()),
-            f"{scans['late']} scans began more than 1 ms late",
+            *(f"{name:20}{came:10}{missing:10}" for name, (came, missing) in rows.items()),
             *delay_table(delays),
         ]
     )
