@@ -6,7 +6,7 @@ import sys
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from io import BytesIO, StringIO, TextIOWrapper
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from unittest.mock import patch
 
 from flows.cli import main
@@ -19,6 +19,11 @@ class Terminal(StringIO):
 
     def isatty(self) -> bool:
         return True
+
+
+def captured(*words: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run a process to its end, whatever its exit code, and return its output."""
+    return subprocess.run(words, capture_output=True, text=True, check=False, **options)
 
 
 def slipflow(*arguments: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

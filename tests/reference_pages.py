@@ -78,10 +78,7 @@ def paragraphs(text: str | None) -> list[str]:
     return [" ".join(each.split()) for each in cleaned.split("\n\n") if each.strip()]
 
 
-PAGES: Final[dict[str, Callable[[], str]]] = {
-    "operators.md": catalogue,
-    "commands.md": commands,
-}
+PAGES: Final[dict[str, Callable[[], str]]] = {"operators.md": catalogue, "commands.md": commands}
 
 
 def main() -> None:

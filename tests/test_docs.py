@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import pytest
 import typer.main
 
 from flows.cli.main import app
-from tests.command import slipflow
+from tests.command import captured, slipflow
 from tests.pages import PAGES, ROOT, blocks, commands, mentioned
 from tests.reference_pages import FOLDER
 from tests.reference_pages import PAGES as GENERATED
@@ -35,15 +34,7 @@ COMMANDS = PROGRAM.commands
 
 def run(command: list[str], folder: Path) -> str:
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(
-        command,
-        cwd=folder,
-        env={**os.environ, "PATH": path},
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    done = captured(*command, cwd=folder, env={**os.environ, "PATH": path}, timeout=600)
     assert done.returncode == 0, f"{command[-1]}\n{done.stdout}\n{done.stderr}"
     return done.stdout
 
@@ -99,9 +90,6 @@ def test_every_command_is_valid_in_code_and_exists_with_its_options_in_prose(pag
     for name, *rest in mentioned(page):
         options = {word for each in COMMANDS[name].params for word in (*each.opts, *each.secondary_opts)}
         assert {word for word in rest if word.startswith("-")} <= options, name
-
-
-# --- links, figures, index -------------------------------------------------------------------------------
 
 
 def anchors(page: Path) -> set[str]:

@@ -38,14 +38,10 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, Any]]:
 
 @pytest.mark.parametrize("operator", [0, 1], ids=["process", "steps"])
 @pytest.mark.parametrize(
-    "name",
-    [name for name in OWED if "case" in inspect.signature(getattr(test_conformance, name)).parameters],
+    "name", [name for name in OWED if "case" in inspect.signature(getattr(test_conformance, name)).parameters]
 )
 def test_the_operators_pass_the_conformance_suite(
-    name: str,
-    operator: int,
-    made: Callable[..., dict[str, Any]],
-    monkeypatch: pytest.MonkeyPatch,
+    name: str, operator: int, made: Callable[..., dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     defined = {**vars(test_conformance), **made("active_rows.py"), **made("activity.py")}
     case = eval(block(PAGE, "case").splitlines()[operator], defined)  # noqa: S307 - ours

@@ -122,10 +122,8 @@ def test_the_script_of_a_format_imports_it(
     else:
         assert fingertip.unit == "kPa"
         assert touch.counts * fingertip.resolution == pytest.approx(CELLS.round(2), abs=1e-6)
-        assert (
-            f"labels of the file: {MOVING.sum()} slip, {ROWS - MOVING.sum()} static"
-            in capsys.readouterr().out
-        )
+        labels = f"labels of the file: {MOVING.sum()} slip, {ROWS - MOVING.sum()} static"
+        assert labels in capsys.readouterr().out
     if name == "bag.py":
         motion = concat(Motion, list(session.read(Motion, EVERY)))
         assert len(motion) == ROWS

@@ -116,9 +116,6 @@ def test_the_examples_of_the_page_are_read_and_written() -> None:
     assert component["state_topic"] in {topic(row) for row in table(PAGE, "## Topics")}
 
 
-# --- the files -------------------------------------------------------------------------------------------
-
-
 def loaded(name: str) -> ModuleType:
     """A file of the page as a module."""
     module = ModuleType(Path(name).stem)

@@ -14,11 +14,11 @@ import tempfile
 import threading
 import time
 from collections import defaultdict
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import aclosing
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
-from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 import smbus2.smbus2
@@ -28,24 +28,10 @@ from connectors.sim.finger import Finger
 from connectors.sim.scene import Scene
 from flows.graph import Flow
 from flows.run.live_runner import LiveRunner
-from operators import (
-    Align,
-    Clock,
-    DeviceClock,
-    Label,
-    Run,
-    Score,
-    Sink,
-    Slips,
-    Touch,
-    Zero,
-    ms,
-    s,
-)
-from operators.batch import Counts
+from operators import Align, Clock, DeviceClock, Label, Run, Score, Sink, Slips, Touch, Zero, ms, s
 from storage import Dataset, load_debounce, load_detector
 from tests.benchmarks.machine import print_head
-from tests.emulators.i2c_bus import EmulatedI2cBus, served
+from tests.emulators.i2c_bus import EmulatedI2cBus, Table, served
 from tests.emulators.ur_controller import ANYWHERE, E_SERIES, UrController
 
 P = ParamSpec("P")
@@ -56,22 +42,6 @@ BUS = "/dev/i2c-99"
 FINGERS = (0, 1, 2)
 SECONDS = 20.0  # that are measured
 WARM = 3.0  # s that do not count: `Zero` learns its baseline
-
-
-class Table:
-    """Presses and strokes that the fingertips feel, made before; they begin again when they end."""
-
-    def __init__(self) -> None:
-        rows = round((SECONDS + WARM) * 100)
-        taken = {finger: Finger(Scene(), 0, finger).take(rows) for finger in FINGERS}
-        self._touch = {finger: each[0] for finger, each in taken.items() if each is not None}
-        self._began = time.time_ns()
-
-    def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
-        """Counts of pressure and temperature at an instant (ns), (6,) each."""
-        touch = self._touch[finger]
-        row = max(0, time - self._began) // (10 * ms) % len(touch)
-        return touch.counts[row], touch.temperature[row]
 
 
 class Noting(TakkTile):
@@ -138,37 +108,14 @@ class Spent:
         """So far, s by name."""
         return {name: (total - self._calls[name] * self._clock) / s for name, total in self._total.items()}
 
-
-class Used(NamedTuple):
-    """What the process had used at an instant, s."""
-
-    wall: float
-    process: float
-    threads: dict[str, float]  # those that are alive, CPU by name
-    parts: dict[str, float]  # CPU by name
-
-    @classmethod
-    def now(cls, spent: Spent) -> "Used":
-        """At present."""
+    def used(self) -> dict[str, float]:
+        """Return what was used so far, s: wall time, CPU of the process, of its threads and of the parts."""
         threads = {
             each.name: time.clock_gettime(time.pthread_getcpuclockid(each.ident))
             for each in threading.enumerate()
             if each.ident is not None
         }
-        return cls(time.monotonic(), time.process_time(), threads, spent.seconds())
-
-
-class Seen(NamedTuple):
-    """What came of a run."""
-
-    process: float  # CPU, of one core
-    loop: float
-    scanning: float
-    parts: dict[str, float]
-    rows: dict[str, int]  # in, by source and sink
-    lost: dict[str, int]
-    late: int  # scans
-    delays: list[tuple[float, float]]  # ms, of each event: since its sample arrived, and was converted
+        return {"wall": time.monotonic(), "process": time.process_time(), **threads, **self.seconds()}
 
 
 def serve(port: Connection, over: Event) -> None:
@@ -196,11 +143,14 @@ def declared(touch: TakkTile, motion: UrMotion, told: Told, out: str) -> Flow:
     return flow
 
 
-async def run(port: int) -> Seen:
-    """Run the flow, and time its parts."""
+async def run(port: int) -> str:
+    """Run the flow, time its parts, and return the tables."""
     spent, touch, told = Spent(), Noting(), Told()
     motion = UrMotion(HOST, 500.0, port=port)
-    bus = EmulatedI2cBus(Table(), {each: each for each in FINGERS})
+    taken = [Finger(Scene(), 0, finger).take(round((SECONDS + WARM) * 100)) for finger in FINGERS]
+    bus = EmulatedI2cBus(
+        Table(*(each[0].counts for each in taken if each is not None)), {each: each for each in FINGERS}
+    )
     with tempfile.TemporaryDirectory() as out, served(bus, BUS):
         runner = LiveRunner(declared(touch, motion, told, out), "path")
         names, pusher = smbus2.smbus2.__dict__, runner.compiled.pusher
@@ -208,58 +158,53 @@ async def run(port: int) -> Seen:
         vars(runner.compiled)["pusher"] = lambda *entries: spent.timed("operators", pusher(*entries))
         running = asyncio.create_task(runner.execute())
         await asyncio.sleep(WARM)
-        first = Used.now(spent)
+        first = spent.used()
         await asyncio.sleep(SECONDS)
-        last = Used.now(spent)
+        last = spent.used()
         runner.stop()
         result = await running
-    wall = last.wall - first.wall
-    parts = {name: (value - first.parts[name]) / wall for name, value in last.parts.items()}
-    used = {name: (last.threads[name] - first.threads[name]) / wall for name in first.threads}
-    scans, dataset = cast("dict[str, int]", touch.describe()["scans"]), result.sinks["dataset"]
-    return Seen(
-        (last.process - first.process) / wall,
-        used["MainThread"],
-        used[f"takktile {BUS}"],
-        parts,
-        {name: each.rows for name, each in result.sources.items()} | {"dataset": dataset.rows},
-        {
-            "touch": len(FINGERS) * (scans["missed"] + scans["silent"]),
-            "motion": result.sources["motion"].missing,
-            "dataset": dataset.dropped,
-        },
-        scans["late"],
+    wall = last["wall"] - first["wall"]
+    shares = {name: (last[name] - value) / wall for name, value in first.items()}  # CPU, of one core
+    dataset = result.sinks["dataset"]
+    rows = {name: (each.rows, each.missing) for name, each in result.sources.items()}
+    rows["dataset"] = dataset.rows, dataset.dropped
+    delays = [
+        ((now - touch.arrivals[finger, stamp]) / ms, (now - stamp) / ms) for finger, stamp, now in told.events
+    ]
+    return "\n".join(
         [
-            ((now - touch.arrivals[finger, stamp]) / ms, (now - stamp) / ms)
-            for finger, stamp, now in told.events
-        ],
+            *cpu_table(shares),
+            f"{'rows':20}{'in':>10}{'missing':>10}",
+            *(f"{name:20}{came:10}{missing:10}" for name, (came, missing) in rows.items()),
+            *delay_table(delays),
+        ]
     )
 
 
-def report(whole: Seen) -> str:
-    """The tables."""
-    bus = whole.parts.pop("bus")
-    others = whole.process - whole.loop - whole.scanning
-    lines = [
-        f"{'CPU, % of one core':40}",
-        f"{'whole process':40}{whole.process:8.1%}",
-        f"{'the emulated bus in it':40}{bus:8.1%}",
-        f"{'without it':40}{whole.process - bus:8.1%}",
-        f"{'  scanning: smbus2, TakkTile':40}{whole.scanning - bus:8.1%}",
-        f"{'  writing':40}{others:8.1%}",
-        f"{'  event loop':40}{whole.loop:8.1%}",
-        *(f"{'    ' + name:40}{value:8.1%}" for name, value in whole.parts.items()),
-        f"{'    the rest: RTDE, queues, recording':40}{whole.loop - sum(whole.parts.values()):8.1%}",
-        f"{'rows':20}{'in':>10}{'missing':>10}",
-        *(f"{name:20}{whole.rows[name]:10}{lost:10}" for name, lost in whole.lost.items()),
-        f"{whole.late} scans began more than 1 ms late",
-        f"{'ms to the event':20}{'events':>10}{'p50':>10}{'p99':>10}",
-    ]
-    for column, name in enumerate(("from the arrival", "from the touch")):
-        delays = [each[column] for each in whole.delays]
-        p50, p99 = np.percentile(delays, (50, 99)) if delays else (np.nan, np.nan)
-        lines.append(f"{name:20}{len(delays):10}{p50:10.2f}{p99:10.2f}")
-    return "\n".join(lines)
+def cpu_table(shares: dict[str, float]) -> Iterator[str]:
+    """Yield the lines about the CPU, in shares of one core."""
+    process, bus, operators = shares["process"], shares["bus"], shares["operators"]
+    loop, scanning = shares["MainThread"], shares[f"takktile {BUS}"]
+    yield "CPU, % of one core"
+    for name, value in {
+        "whole process": process,
+        "the emulated bus in it": bus,
+        "without it": process - bus,
+        "  scanning: smbus2, TakkTile": scanning - bus,
+        "  writing": process - loop - scanning,
+        "  event loop": loop,
+        "    operators": operators,
+        "    the rest: RTDE, queues, recording": loop - operators,
+    }.items():
+        yield f"{name:40}{value:8.1%}"
+
+
+def delay_table(delays: list[tuple[float, float]]) -> Iterator[str]:
+    """Yield the lines about the delays of the events, ms: since a sample arrived, and was converted."""
+    yield f"{'ms to the event':20}{'events':>10}{'p50':>10}{'p99':>10}"
+    for name, column in zip(("from the arrival", "from the touch"), zip(*delays, strict=True), strict=True):
+        p50, p99 = np.percentile(column, (50, 99))
+        yield f"{name:20}{len(delays):10}{p50:10.2f}{p99:10.2f}"
 
 
 def main() -> None:
@@ -270,7 +215,7 @@ def main() -> None:
     controller = context.Process(target=serve, args=(given, over))
     controller.start()
     try:
-        print(report(asyncio.run(run(taken.recv()))))
+        print(asyncio.run(run(taken.recv())))
     finally:
         over.set()
         controller.join()

@@ -8,13 +8,7 @@ from tests.chaos.run import Scale, Test
 SHORT = Scale(short=True)
 
 
-@pytest.mark.parametrize(
-    "test",
-    [
-        recorder.kills,
-        pytest.param(events.kills, marks=pytest.mark.broker),
-    ],
-)
+@pytest.mark.parametrize("test", [recorder.kills, pytest.param(events.kills, marks=pytest.mark.broker)])
 def test_a_promise_is_kept(test: Test) -> None:
     for promise in test(SHORT):
         assert promise.passed, promise.result

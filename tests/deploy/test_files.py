@@ -22,6 +22,7 @@ from flows.graph.loading import load
 from flows.graph.validation import problems
 from flows.run.live_runner import CHECK_INTERVAL
 from storage.files import lock
+from tests.command import captured
 from tests.deploy.shipped import DEPLOY, LEFT_OUT, PAGE
 
 COMPOSE = ("compose.yaml", "compose.fingertip.yaml", "compose.tls.yaml", "dask/compose.yaml")
@@ -51,7 +52,7 @@ def read(name: str) -> Any:
 
 
 def run(*words: str | Path) -> tuple[int, str]:
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = captured(*words)
     return done.returncode, done.stdout + done.stderr
 
 
@@ -73,9 +74,8 @@ def test_a_compose_file_satisfies_the_schema_of_the_specification(name: str, tmp
 
 
 def test_the_kubernetes_file_satisfies_its_schemas() -> None:
-    code, output = run_module(
-        "kubernetes_validate", "--strict", "--kubernetes-version", "1.30", DEPLOY / KUBERNETES
-    )
+    words = "kubernetes_validate", "--strict", "--kubernetes-version", "1.30", DEPLOY / KUBERNETES
+    code, output = run_module(*words)
     assert (code, output.count("passed for resource")) == (0, len(read_all(KUBERNETES))), output
 
 
@@ -152,9 +152,7 @@ def test_the_broker_of_the_page_is_for_this_machine_until_it_has_tls(tmp_path: P
     listeners = list[list[str]]()
     for expression in (first, second):
         words = ["sed", *shlex.split(expression)]
-        shipped = subprocess.run(
-            words, input=shipped, cwd=DEPLOY.parent, capture_output=True, text=True, check=True
-        ).stdout
+        shipped = captured(*words, input=shipped, cwd=DEPLOY.parent).stdout
         listeners.append([line for line in shipped.splitlines() if line.startswith("listener")])
     assert listeners == [["listener 1883 127.0.0.1"], ["listener 8883"]]
 
@@ -164,18 +162,15 @@ def test_git_ignores_each_secret_that_the_page_writes() -> None:
         *re.findall(r"(?<![\w/])(?!/)[\w/]*(?:certificates/[\w.*]+|\w+\.(?:password|env))(?=\s)", PAGE)
     }
     assert {"deploy/certificates/broker.*", "reader.password", "deploy/metrics.env"} <= written
-    done = subprocess.run(
-        ["git", "check-ignore", *written], cwd=DEPLOY.parent, capture_output=True, text=True, check=False
-    )
+    done = captured("git", "check-ignore", *written, cwd=DEPLOY.parent)
     assert written - {*done.stdout.split()} == set()
 
 
 def test_images_of_others_are_pinned_by_digest() -> None:
     shipped = (DEPLOY / "Dockerfile").read_text() + (DEPLOY / "compose.yaml").read_text()
     images = re.findall(r"^(?:FROM| +image:) (\S+)", shipped, re.MULTILINE)
-    assert [each for each in images if not re.search(r":\d[\w.-]+@sha256:[0-9a-f]{64}$", each)] == [
-        "slipflow:0.2.0"
-    ]
+    others = [each for each in images if each != "slipflow:0.2.0"]
+    assert all(re.search(r":\d[\w.-]+@sha256:[0-9a-f]{64}$", each) for each in others)
 
 
 def test_hadolint_finds_nothing_in_the_dockerfile() -> None:
@@ -205,9 +200,7 @@ def test_the_build_context_has_the_copied_files_only() -> None:
 
 
 @pytest.mark.parametrize("mistake", ["", "Restart=sometimes"])
-def test_systemd_accepts_the_unit_with_its_certificates_and_reports_a_mistake(
-    tmp_path: Path, mistake: str
-) -> None:
+def test_systemd_accepts_the_unit_with_certificates_and_no_mistake(tmp_path: Path, mistake: str) -> None:
     program = "/opt/slipflow/bin/slipflow"  # where a user installs it
     assert program in UNIT
     (tmp_path / "slipflow.service.d").mkdir()

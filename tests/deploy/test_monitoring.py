@@ -5,7 +5,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from ruamel.yaml import YAML
 from operators.batch import s
 from operators.health import FaultKind
 from operators.ports import ClockStep, Run, SinkStatus, SourceStatus
+from tests.command import captured
 from tests.connectors.web.reading import fault, scored, served, slip
 from tests.deploy.shipped import DEPLOY, PAGE
 
@@ -76,7 +76,7 @@ def promtool(*words: str | Path) -> None:
     program = shutil.which("promtool", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     if program is None:
         pytest.skip("promtool is missing: deploy/prepare test unpacks it on Debian")
-    done = subprocess.run([program, *words], capture_output=True, text=True, check=False)
+    done = captured(program, *words)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -99,9 +99,7 @@ def test_prometheus_scrapes_the_port_that_compose_publishes_and_systemd_serves()
     assert (SCRAPES.parent / job["authorization"]["credentials_file"]).read_text() == ""
 
 
-def test_a_missing_broker_waiting_events_and_late_rows_of_frequent_sources_raise_alerts(
-    tmp_path: Path,
-) -> None:
+def test_a_missing_broker_waiting_events_and_late_rows_of_fast_sources_raise_alerts(tmp_path: Path) -> None:
     values = {("waiting_rows", "mqtt"): 3, ("unstored_rows", "mqtt"): 1, ("unstored_rows", "dataset"): 4}
     values |= {("connected", "mqtt"): 0, ("connected", "other"): 1}
     series = {

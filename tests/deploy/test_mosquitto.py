@@ -16,6 +16,7 @@ from connectors.mqtt.broker import CA, CERTIFICATE, PASSWORD, USER, Broker
 from connectors.mqtt.broker_link import connect
 from operators.errors import EndpointError, InputError
 from operators.ports import Run
+from tests.command import captured
 from tests.connectors.mqtt.broker_process import TestBroker, deliver
 from tests.connectors.mqtt.made import slips
 from tests.deploy.shipped import DEPLOY
@@ -134,9 +135,7 @@ async def test_retained_messages_survive_a_crash_of_the_broker(shipped: TestBrok
 
 
 SCRIPT = DEPLOY / "mosquitto" / "make_certificates"
-needs_openssl = pytest.mark.skipif(
-    not shutil.which("openssl"), reason="openssl is missing: apt-get install openssl"
-)
+needs_openssl = pytest.mark.skipif(not shutil.which("openssl"), reason="apt-get install openssl")
 
 
 def make_certificates(folder: Path, *words: str, days: int = 825) -> tuple[int, list[str]]:
@@ -144,9 +143,7 @@ def make_certificates(folder: Path, *words: str, days: int = 825) -> tuple[int, 
     text = SCRIPT.read_text()
     assert "-days 825" in text
     script = text.replace("-days 825", f"-days {days}")
-    done = subprocess.run(
-        ["sh", "-c", script, SCRIPT, folder, *words], capture_output=True, text=True, check=False
-    )
+    done = captured("sh", "-c", script, SCRIPT, folder, *words)
     return done.returncode, (done.stdout + done.stderr).splitlines()
 
 
@@ -186,9 +183,7 @@ def test_certificates_are_made_once_and_a_later_call_adds_a_user(tmp_path: Path)
         (("broker", "x" * 65), "maxsize=64"),
     ],
 )
-def test_a_wrong_name_or_host_is_an_error_and_changes_nothing(
-    tmp_path: Path, words: tuple[str, ...], why: str
-) -> None:
+def test_a_wrong_name_or_host_changes_nothing(tmp_path: Path, words: tuple[str, ...], why: str) -> None:
     assert make_certificates(tmp_path, "broker", "one")[0] == 0
     before = contents(tmp_path)
     status, output = make_certificates(tmp_path, *words)
@@ -243,10 +238,7 @@ async def test_with_tls_the_broker_admits_only_clients_with_a_certificate_of_its
         monkeypatch.setenv(CERTIFICATE, str(tmp_path / "fingertip.pem"))
         await meet()
     monkeypatch.setenv(CERTIFICATE, "/missing.pem")
-    missing = (
-        rf"^/missing.pem: cannot read the client certificate \({CERTIFICATE}\): No such file or directory$"
-    )
-    with pytest.raises(InputError, match=missing):
+    with pytest.raises(InputError, match=rf"^/missing.pem: cannot read .* \({CERTIFICATE}\): No such file"):
         Broker.parse(url).tls()
     monkeypatch.setenv(CERTIFICATE, str(tmp_path / "broker.crt"))
     with pytest.raises(InputError, match=r"no private key .*: cat client.crt client.key > client.pem"):

@@ -43,13 +43,17 @@ class Skin(Protocol):
         ...
 
 
-class Still:
-    """Skin whose counts never change."""
+class Table:
+    """Skin whose counts of pressure are rows 10 ms apart, (n, 6) by finger; they begin again at the end."""
+
+    def __init__(self, *counts: Counts) -> None:
+        self._counts, self._began = counts, time_ns()
 
     def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
-        """Return those of an unloaded fingertip."""
-        del finger, time
-        return np.full(BAROMETERS, 400, np.int16), np.full(BAROMETERS, 507, np.int16)
+        """Return the row of an instant."""
+        rows = self._counts[finger]
+        pressure = rows[max(0, time - self._began) // (10 * ms) % len(rows)]
+        return pressure, np.full_like(pressure, 507)
 
 
 class Defect(Enum):
@@ -183,16 +187,11 @@ class EmulatedI2cBus:
     """
 
     def __init__(
-        self,
-        skin: Skin,
-        rows: Mapping[int, int] | None = None,
-        *,
-        conversion: int = CONVERSION,
-        now: Callable[[], int] = time_ns,
+        self, skin: Skin, rows: Mapping[int, int] | None = None, *, conversion: int = CONVERSION
     ) -> None:
         served = {0: 0} if rows is None else rows
         self.fingertips = {row: Fingertip(row, finger, skin, conversion) for row, finger in served.items()}
-        self.quick, self.speed, self._now = True, cast("float | None", None), now
+        self.quick, self.speed = True, cast("float | None", None)
         self.lost = errno.ENODEV
         self.generation = self.transfers = 0
         self._faults: list[Fault] = []
@@ -243,7 +242,7 @@ class EmulatedI2cBus:
         if not data and not self.quick:
             raise os_error(errno.EOPNOTSUPP)
         if address == BAROMETER:
-            cells, now = self._connected(), self._now()
+            cells, now = self._connected(), time_ns()
             for cell in cells:
                 cell.write(data, now)
         elif not self._switch(address, on=True) or data:  # the ATtinys act on the address and refuse data
@@ -253,7 +252,7 @@ class EmulatedI2cBus:
         """Send a message that reads, and return the bytes; errors are those of `write`."""
         self._begin(address, 1 + length)
         if address == BAROMETER:
-            cells, now = self._connected(), self._now()
+            cells, now = self._connected(), time_ns()
             answers = [cell.read(length, now) for cell in cells]
             return bytes(reduce(int.__and__, octets) for octets in zip(*answers, strict=True))
         if not self._switch(address, on=False):

@@ -39,8 +39,6 @@ def _join(align: Align, touch: Zeroed, motion: Motion) -> Sample:
     return concat(Sample, [align.push(touch, motion), align.flush()])
 
 
-# --- against polars --------------------------------------------------------------------------------------
-
 steps = st.lists(st.sampled_from([0, 1, 3, 7, 8, 10, 12, 40, -5, -20]), max_size=60)  # some rows come late
 
 
@@ -70,9 +68,7 @@ def _kept(**column: Times | Reals) -> pl.DataFrame:
 
 @pytest.mark.parametrize("how", ["previous", "nearest"])
 @given(touch=steps, motion=steps, offset=st.integers(-50, 50), within=st.sampled_from([0, 3, 10, 30]))
-def test_the_join_equals_that_of_polars(
-    how: How, touch: list[int], motion: list[int], offset: int, within: int
-) -> None:
+def test_it_joins_as_polars(how: How, touch: list[int], motion: list[int], offset: int, within: int) -> None:
     left, right = _touch(*np.cumsum(touch)), _motion(*offset + np.cumsum(motion))
     samples = _join(Align(within * ms, how), left, right)
     kept = _kept(time=left.time)
@@ -81,9 +77,6 @@ def test_the_join_equals_that_of_polars(
     np.testing.assert_array_equal(samples.time, kept["time"].to_numpy())
     np.testing.assert_array_equal(samples.matched, rows.is_not_null().to_numpy())
     np.testing.assert_allclose(_rows(samples), rows.fill_null(np.nan).to_numpy(), rtol=1e-12)
-
-
-# --- which row -------------------------------------------------------------------------------------------
 
 
 def test_a_touch_without_motion_near_enough_is_kept_and_flagged() -> None:
@@ -105,9 +98,6 @@ def test_motion_with_a_non_finite_velocity_is_ignored(unknown: float) -> None:
     align = Align()
     align.push(NO_TOUCH, motion)
     assert _rows(align.push(_touch(8.9, 9, 9.1), NO_MOTION)) == [0, 2, 2]
-
-
-# --- when ------------------------------------------------------------------------------------------------
 
 
 def test_a_touch_is_given_once_newer_motion_has_come() -> None:

@@ -71,9 +71,6 @@ def test_a_batch_type_that_is_decorated_as_a_dataclass_keeps_its_columns() -> No
     assert Grasp.zeros(2).check()[1:].raw.tolist() == [0]
 
 
-# --- packed rows -----------------------------------------------------------------------------------------
-
-
 def _subtypes(kind: type[Batch]) -> list[type[Batch]]:
     return [each for sub in kind.__subclasses__() for each in (sub, *_subtypes(sub))]
 

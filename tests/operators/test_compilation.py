@@ -2,6 +2,7 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from enum import IntEnum
 from errno import ENOSPC
 from pathlib import Path
@@ -132,49 +133,32 @@ def _levels(**values: int) -> Any:
     return cast("Any", IntEnum)("Level", values)
 
 
-@pytest.mark.parametrize(
-    ("before", "after"),
-    [
-        (_function("def run(rows):\n    return 1.5"), _function("def run(rows):\n    return 2.5")),
-        (
-            _function("def run(rows):\n    return rows[0].x"),
-            _function("def run(rows):\n    return rows[0].y"),
-        ),
-        (_function(_HELPED, help=math.cos), _function(_HELPED, help=math.sin)),
-        (_function(_HELPED, help=_helper("x + 1")), _function(_HELPED, help=_helper("x + 2"))),
-        (
-            _function(_HELPED, help=_helper("x * LEVELS[1]", LEVELS=(1, 2))),
-            _function(_HELPED, help=_helper("x * LEVELS[1]", LEVELS=(1, 3))),
-        ),
-        (
-            _function(_HELPED, help=_compiled("inner(x)", inner=_compiled("x + 3"))),
-            _function(_HELPED, help=_compiled("inner(x)", inner=_compiled("x + 4"))),
-        ),
-        (_reads("consts.GAIN", consts=_module(GAIN=2.0)), _reads("consts.GAIN", consts=_module(GAIN=3.0))),
-        (
-            _reads("a.b.GAIN", a=_module(b=_module(GAIN=2.0))),
-            _reads("a.b.GAIN", a=_module(b=_module(GAIN=3.0))),
-        ),
-        (
-            _reads("a.help(1.0)", a=_module(help=_compiled("x + b.GAIN", b=_module(GAIN=2.0)))),
-            _reads("a.help(1.0)", a=_module(help=_compiled("x + b.GAIN", b=_module(GAIN=3.0)))),
-        ),
-        (_reads("Level.UP.value", Level=_levels(UP=2)), _reads("Level.UP.value", Level=_levels(UP=3))),
-        (
-            _reads("TABLES[0][1000]", TABLES=(np.arange(2000.0), 1)),
-            _reads("TABLES[0][1000]", TABLES=(np.where(np.arange(2000) == 1000, 7.0, np.arange(2000)), 1)),
-        ),
-        (_reads("T.shape[0]", T=np.ones((2, 3))), _reads("T.shape[0]", T=np.ones((3, 2)))),
-    ],
-    ids=[
-        *("constant", "column", "builtin", "helper", "table", "helper of a compiled helper"),
-        *("module", "module of a module", "helper of a module", "enum", "table of tables", "shape"),
-    ],
-)
-def test_a_change_of_what_a_program_reads_gives_another_program(
-    before: FunctionType, after: FunctionType
-) -> None:
+CHANGES: dict[str, Callable[[int], FunctionType]] = {
+    "constant": lambda v: _function(f"def run(rows):\n    return {v}.5"),
+    "column": lambda v: _function(f"def run(rows):\n    return rows[0].{'_xy'[v]}"),
+    "builtin": lambda v: _function(_HELPED, help={1: math.cos, 2: math.sin}[v]),
+    "helper": lambda v: _function(_HELPED, help=_helper(f"x + {v}")),
+    "table": lambda v: _function(_HELPED, help=_helper("x * LEVELS[1]", LEVELS=(1, v))),
+    "helper of a compiled helper": lambda v: _function(
+        _HELPED, help=_compiled("inner(x)", inner=_compiled(f"x + {v + 2}"))
+    ),
+    "module": lambda v: _reads("consts.GAIN", consts=_module(GAIN=v + 0.5)),
+    "module of a module": lambda v: _reads("a.b.GAIN", a=_module(b=_module(GAIN=v + 0.5))),
+    "helper of a module": lambda v: _reads(
+        "a.help(1.0)", a=_module(help=_compiled("x + b.GAIN", b=_module(GAIN=v + 0.5)))
+    ),
+    "enum": lambda v: _reads("Level.UP.value", Level=_levels(UP=v)),
+    "table of tables": lambda v: _reads(
+        "TABLES[0][1000]", TABLES=(np.where(np.arange(2000) == 1000, v, np.arange(2000.0)), 1)
+    ),
+    "shape": lambda v: _reads("T.shape[0]", T=np.ones((v, 3))),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_a_change_of_what_a_program_reads_makes_another_one(change: Callable[[int], FunctionType]) -> None:
     """Its key is all of that: the file of a step is not that of its program, whose age numba compares."""
+    before, after = change(1), change(2)
     found = [compile_program(each, [_ROWS], {})(_ROWS) for each in (before, after, before)]
     assert found == [before(_ROWS.view(np.recarray)), after(_ROWS.view(np.recarray)), found[0]]
     assert found[0] != found[1]
@@ -202,26 +186,15 @@ def _around(level: float) -> Any:
 @pytest.mark.parametrize(
     ("function", "message"),
     [
-        (
-            _helper("x.nothing"),
-            "<string>:2: run cannot be compiled: TypingError: Unknown attribute 'nothing'",
-        ),
-        (
-            _helper("gone(x)"),
-            "<string>:2: run cannot be compiled: TypingError: NameError: name 'gone' is not",
-        ),
+        (_helper("x.nothing"), "<string>:2: run cannot be compiled: .* Unknown attribute 'nothing'"),
+        (_helper("gone(x)"), "<string>:2: run cannot be compiled: .* NameError: name 'gone' is not"),
         (_function("def run(x):\n    with x as y:\n        return y"), "<string>:2: run .*: Unsupported"),
         (_function("def run(x, y):\n    return x"), "<string>:.* run .*: missing a required argument: 'y'"),
-        (
-            _around(3.0),
-            r".*/test_compilation.py:\d+: <lambda> reads variables of the function around it: use",
-        ),
+        (_around(3.0), r".*/test_compilation.py:\d+: <lambda> reads variables of the function .*: use"),
         (_factorial, r".*/test_compilation.py:\d+: _factorial calls itself: use a loop"),
     ],
 )
-def test_a_function_that_cannot_be_compiled_is_named_with_its_line(
-    function: FunctionType, message: str
-) -> None:
+def test_a_function_that_fails_to_compile_is_named_by_its_line(function: FunctionType, message: str) -> None:
     with pytest.raises(InputError, match=f"^{message}"):
         compile_program(bind(_function(_HELPED), help=function), [_ROWS], {})
 

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import operators
-from flows.graph.testing import check_same
 from operators import (
     SLIP,
     STATIC,
@@ -49,6 +48,7 @@ from operators.batch import Counts, Reals, Times
 from operators.detectors import Psd, Tcn, tcn
 from operators.operator import AnyOperator, output_type
 from storage import load_detector
+from tests.storage.made import same
 
 Value = TypeVar("Value")
 SomeTouch = TypeVar("SomeTouch", bound=Touch)
@@ -269,19 +269,17 @@ def test_cutting_the_input_anywhere_changes_nothing(
     kind, results = output_type(type(step)), [_push(step, piece) for piece in pieces(streams, cuts)]
     pushed = _pickled(joined(kind, results))
     found = joined(kind, [*results, cast("Any", step).flush()]).check_order()
-    check_same(found, run(clean, [kept]))
+    same(found, run(clean, [kept]))
     assert step.late == sum(map(len, streams)) - sum(map(len, kept))
     assert clean.late == 0
     _push(step, tuple(replace(stream, time=stream.time + 10 * s) for stream in streams))
     for now, then in zip([*streams, joined(kind, results)], [*copies, pushed], strict=True):
-        check_same(now, then)
+        same(now, then)
 
 
 @pytest.mark.parametrize("align", [case.step for case in CASES if isinstance(case.step, Align)], ids=repr)
 @given(seed=seeds, rows=sizes)
-def test_whichever_stream_lags_within_the_wait_the_join_is_the_same(
-    align: Align, seed: int, rows: int
-) -> None:
+def test_whichever_stream_lags_within_the_wait_the_join_is_equal(align: Align, seed: int, rows: int) -> None:
     rng = np.random.default_rng(seed)
     left, right = _kept(_touch(Zeroed)(rng, rows)), _kept(_motion(rng, rows))
     lags = align.wait, align.wait - (0 if align.how == "previous" else align.within)
@@ -295,7 +293,7 @@ def test_whichever_stream_lags_within_the_wait_the_join_is_the_same(
         (left[row : row + 1], right[:0]) if row < len(left) else (left[:0], right[row - len(left) :][:1])
         for row in order.tolist()
     ]
-    check_same(run(align.reset_copy(), one_by_one), run(align.reset_copy(), [(left, right)]))
+    same(run(align.reset_copy(), one_by_one), run(align.reset_copy(), [(left, right)]))
 
 
 @every
@@ -306,7 +304,7 @@ def test_steps_give_the_same_bits_compiled_and_as_plain_python(
     compiled = [run(case.step.reset_copy(), [each]) for each in streams]
     monkeypatch.setattr(segment, "compiler", lambda: None)
     for each, expected in zip(streams, compiled, strict=True):
-        check_same(run(case.step.reset_copy(), [each]), expected)
+        same(run(case.step.reset_copy(), [each]), expected)
 
 
 # --- what else every one of them owes --------------------------------------------------------------------
@@ -325,7 +323,7 @@ def test_a_reset_copy_has_the_parameters_and_no_state(case: Case) -> None:
     found = run(step, [streams])
     again = step.reset_copy()
     assert (repr(again), again.late) == (repr(step), 0)
-    check_same(run(again, [streams]), found)
+    same(run(again, [streams]), found)
 
 
 @every

@@ -72,9 +72,6 @@ def test_time_never_decreases_and_is_never_later_than_the_arrival(steps: list[tu
     assert (mapped.time <= stream.time).all()
 
 
-# --- epochs ----------------------------------------------------------------------------------------------
-
-
 def restarted(away: int, up: int) -> tuple[Motion, Times]:
     """A minute of a device, then it is away for a while (ns), and back, having been up for another."""
     first, true = late(woken, 125.0, 50e-6, seconds=60)
@@ -98,8 +95,7 @@ def test_another_clock_begins_a_new_epoch(away: int, up: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pause", "delay", "begins"),
-    [(5 * s, 100 * ms, False), (5 * s + 1, 100 * ms, True), (s, 101 * ms, True)],
+    ("pause", "delay", "begins"), [(5 * s, 100 * ms, False), (5 * s + 1, 100 * ms, True), (s, 101 * ms, True)]
 )
 def test_a_long_pause_and_a_jump_begin_a_new_epoch(pause: int, delay: int, *, begins: bool) -> None:
     device = np.array([0, pause])

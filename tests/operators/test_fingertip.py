@@ -12,6 +12,7 @@ from operators.errors import FingertipError, InputError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid, measured, rows_per_second
 
 POOL = "Pool(groups=..., gain=..., unit='count')"
+FALLING = "count, falling as pressure rises"
 PAGE = "(docs/how-to/any-fingertip.md)"
 PAD = Fingertip(grid(16), 1000.0, "kPa", 0.01, (0, 4000))
 
@@ -52,16 +53,8 @@ def test_an_impossible_fingertip_is_refused(change: dict[str, object], name: str
     ("given", "needs", "fix"),
     [
         (replace(TAKKTILE, rate=200.0), "100 Hz", f"Resample(rate=100) in a flow converts it {PAGE}"),
-        (
-            replace(TAKKTILE, range=(0, 1023)),
-            "count, falling as pressure rises",
-            f"Pool(gain=-1) in a flow converts it {PAGE}",
-        ),
-        (
-            PAD,
-            "6 cells, count, falling as pressure rises, 100 Hz",
-            f"{POOL} and Resample(rate=100) in a flow convert it {PAGE}",
-        ),
+        (replace(TAKKTILE, range=(0, 1023)), FALLING, f"Pool(gain=-1) in a flow converts it {PAGE}"),
+        (PAD, f"6 cells, {FALLING}, 100 Hz", f"{POOL} and Resample(rate=100) in a flow convert it {PAGE}"),
     ],
 )
 def test_a_mismatch_names_the_operators_that_convert_it(given: Fingertip, needs: str, fix: str) -> None:
@@ -85,9 +78,8 @@ def test_cells_and_rate_are_measured_if_nothing_states_them() -> None:
     assert found is not None
     assert (found.cells, found.rate) == (16, 1000.0)
     assert measured(Touch.zeros(9)) is None  # all rows have one time: no default
-    assert rows_per_second(np.arange(600) * 10**16) == pytest.approx(
-        1e-7
-    )  # 2**63 ns are less than twice this
+    slow = np.arange(600) * 10**16  # 2**63 ns are less than twice its span
+    assert rows_per_second(slow) == pytest.approx(1e-7)
 
 
 @given(
@@ -96,9 +88,7 @@ def test_cells_and_rate_are_measured_if_nothing_states_them() -> None:
     step=st.sampled_from([1, 1_000, 1_000_000]),
     pause=st.booleans(),
 )
-def test_the_rate_is_that_of_the_rows_over_the_time(
-    packets: list[int], rate: float, step: int, *, pause: bool
-) -> None:
+def test_the_rate_is_rows_over_time(packets: list[int], rate: float, step: int, *, pause: bool) -> None:
     size = sum(packets)
     time = (np.arange(size) * (s / rate)).astype(np.int64)
     time[size // 2 :] += 500 * s * pause

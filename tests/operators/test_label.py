@@ -28,9 +28,6 @@ def _label(label: Label, sample: Sample) -> Labelled:
     return concat(Labelled, [label.push(sample), label.flush()])
 
 
-# --- by its own motion -----------------------------------------------------------------------------------
-
-
 def test_slip_is_above_the_threshold_and_unknown_from_the_limit_on() -> None:
     labelled = _label(Label(), _sample(_along_x(0, 0.003, 0.0031, 0.2999, 0.3, np.nan, np.inf)))
     assert labelled.label.tolist() == [STATIC, STATIC, SLIP, SLIP, UNKNOWN, UNKNOWN, UNKNOWN]
@@ -65,8 +62,6 @@ def test_rotation_is_slip_only_with_a_rotation_threshold() -> None:
     assert (_label(Label(rotation=0.2), _sample(turning)).label == UNKNOWN).all()
     assert (_label(Label(), _sample(turning)).label == SLIP).all()
 
-
-# --- by the motion of another instant --------------------------------------------------------------------
 
 steps = st.lists(st.sampled_from([0, 1, 5, 10, 10, 10, 35]), min_size=1, max_size=50)
 

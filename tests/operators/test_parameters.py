@@ -45,9 +45,7 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
         *({"threshold": each} for each in (0, 1.1, nan)),
         *({"consecutive": 0}, {"release": 0}, {"consecutive": 2.5}, {"threshold": "x"}),
     ],
-    Health: [
-        *({"dead_after": 0}, {"stuck_after": 0}, {"clear_after": -1}),
-    ],
+    Health: [*({"dead_after": 0}, {"stuck_after": 0}, {"clear_after": -1})],
     DeviceClock: [{"window": 59}, {"window": 0}, {"jump": -1}],
     Grip: [
         *({"force": 11.0}, {"min_force": -1.0}, {"threshold": 0.0}, {"rate": 0.0}, {"consecutive": 0}),

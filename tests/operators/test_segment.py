@@ -7,7 +7,6 @@ from typing import Any, Final, cast
 import numpy as np
 import pytest
 
-from flows.graph.testing import check_same
 from operators import (
     Align,
     Batch,
@@ -33,6 +32,7 @@ from operators.operator import AnyOperator
 from operators.program import BLOCK
 from operators.steps import Record, RowType, Steps, copy, record_type
 from tests.operators import test_conformance as suite
+from tests.storage.made import same
 
 CUTS: Final = [[], range(5000), [0, 1, 700, 1024, 1025, 1400]]
 PREVIOUS: Final = Align(how="previous", within=5 * ms, keep=100 * ms)
@@ -73,11 +73,8 @@ def _runs(step: AnyOperator, *streams: Batch) -> list[Batch]:
 def _check_equal(batches: Iterable[Batch]) -> Batch:
     first, *others = batches
     for each in others:
-        check_same(each, first)
+        same(each, first)
     return first
-
-
-# --- queues of fixed size --------------------------------------------------------------------------------
 
 
 def test_touch_that_finds_the_queue_full_is_released_early_and_unmatched() -> None:
@@ -91,15 +88,12 @@ def test_touch_that_finds_the_queue_full_is_released_early_and_unmatched() -> No
     assert len(Align(within=50 * ms, wait=900 * ms).push(touch[:1200], motion[:0])) == early
 
 
-# --- cells -----------------------------------------------------------------------------------------------
-
-
 def test_a_fingertip_with_another_number_of_cells_than_described_is_named() -> None:
     zero = Zero(scans=30)
     zero.push(_raw(3, 6))
     for rows in (1, 3):
         with pytest.raises(
-            BatchError, match=r"^Touch\.counts: has 9 cells, but the fingertip was described or begun with 6$"
+            BatchError, match=r"^Touch\.counts: has 9 cells, but the fingertip was .* with 6$"
         ):
             zero.push(_raw(rows, 9))
 
@@ -135,9 +129,6 @@ def test_an_input_without_rows_yet_has_the_cells_of_the_other() -> None:
     assert join.push(rows[1:2], Touch.empty()).time.tolist() == rows.time[1:2].tolist()
 
 
-# --- blocks, fingertips, order ---------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("rate", [1000.0, np.inf], ids=["in time", "of one time"])
 def test_more_rows_than_a_call_takes_are_those_of_many_calls(rate: float) -> None:
     rows = 3 * BLOCK + 7
@@ -145,7 +136,7 @@ def test_more_rows_than_a_call_takes_are_those_of_many_calls(rate: float) -> Non
     late = Scores.rows([-1], 0.5, finger=3)
     whole, cut = Debounce(), Debounce()
     found = whole.push(concat(Scores, [scores, late]))
-    check_same(found, concat(Slips, [cut.push(scores[row : row + 1000]) for row in range(0, rows, 1000)]))
+    same(found, concat(Slips, [cut.push(scores[row : row + 1000]) for row in range(0, rows, 1000)]))
     assert len(found) > BLOCK // 4
     assert (whole.late, cut.push(late).time.size, cut.late) == (1, 0, 1)
 
@@ -159,9 +150,6 @@ def test_two_inputs_with_more_rows_than_a_call_takes_come_in_the_order_of_time(r
     assert isinstance(samples, Sample)
     assert samples.matched.all()
     np.testing.assert_array_equal(samples.velocity[:, 0], touch.time // (s // 400) / 1e5)
-
-
-# --- operators of users ----------------------------------------------------------------------------------
 
 
 @dataclass
@@ -239,9 +227,7 @@ def _each_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.usefixtures("_each_way")
-def test_a_step_without_a_result_has_no_row_and_reads_the_globals_of_now(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_step_without_a_result_has_no_row_and_reads_new_globals(monkeypatch: pytest.MonkeyPatch) -> None:
     scores = Scores.rows([0, 1, 2], [0.1, 0.5, 0.75])
     for limit in (1.0, 2.0):
         monkeypatch.setitem(globals(), "LIMIT", limit)

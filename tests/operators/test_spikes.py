@@ -39,7 +39,7 @@ def wrong(counts: Counts, row: int, cell: int, bit: int) -> Counts:
 @given(
     seed=seeds,
     row=places.filter(lambda row: not 98 <= row < 170),  # a press may hide it, until it is forgotten
-    cells=st.integers(2, 16),
+    cells=st.sampled_from([2, CELLS, 16]),  # each number is compiled for
     cell=st.integers(0, 15),
     bit=st.integers(5, 15),
     cut=st.sampled_from([1, 7, ROWS]),
@@ -63,9 +63,7 @@ def test_a_wrong_bit_makes_that_cell_invalid_in_that_row_alone(
     jumps=st.lists(st.integers(-400, 400), min_size=CELLS, max_size=CELLS),
     last=st.sampled_from([0.0, 0.7, 1.0]),
 )
-def test_what_lasts_or_moves_other_cells_too_is_kept(
-    seed: int, row: int, jumps: list[int], last: float
-) -> None:
+def test_what_lasts_or_moves_other_cells_is_kept(seed: int, row: int, jumps: list[int], last: float) -> None:
     """A blow of one row in several cells; steps and decays in any number of cells."""
     counts, jump = quiet(seed), np.array(jumps)
     if not last:  # a blow: another cell has at least half of the largest deviation

@@ -12,9 +12,7 @@ def _touch(rows: int) -> Touch:
 
 
 @given(rows=st.integers(1, 60), length=st.integers(1, 12), hop=st.integers(1, 15))
-def test_windows_hold_the_newest_samples_at_every_hop_from_the_first_full_one_on(
-    rows: int, length: int, hop: int
-) -> None:
+def test_windows_hold_the_newest_samples_at_every_hop_once_full(rows: int, length: int, hop: int) -> None:
     touch, windows = _touch(rows), Window(length, hop).push(_touch(rows))
     ends = range(length, rows + 1, hop)
     assert windows.time.tolist() == [touch.time[end - 1] for end in ends]

@@ -1,68 +1,56 @@
+from math import inf
+
 import numpy as np
-import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
-from operators import Touch, Zero, Zeroed, ms
-from operators.batch import Flags
+from operators import Touch, Zero, Zeroed, concat, ms
+from operators.batch import Counts, Flags
 
-
-def _touch(counts: list[int], valid: Flags | None = None, start: int = 0) -> Touch:
-    """Rows 10 ms apart, in each of which all cells read the same."""
-    rows = np.repeat(np.array(counts, np.int16)[:, None], 6, axis=1)
-    valid = np.ones(rows.shape, np.bool_) if valid is None else valid
-    time = (start + np.arange(len(rows))) * 10 * ms
-    return Touch(time, rows, rows + np.int16(9), valid, finger=1)
-
-
-def test_the_first_scans_are_held_back_until_their_median_is_known() -> None:
-    zero = Zero(scans=3)
-    assert len(zero.push(_touch([600, 640]))) == 0
-    zeroed = zero.push(_touch([601, 700], start=2))
-    assert zeroed.counts[:, 0].tolist() == [-1, 39, 0, 99]
-    assert zeroed.time.tolist() == [0, 10 * ms, 20 * ms, 30 * ms]
-    assert zeroed.temperature[:, 0].tolist() == [609, 649, 610, 709]
-    assert zeroed.finger == 1
-    assert zero.push(_touch([500], start=4)).counts[0].tolist() == [-101] * 6
+CELLS = 4  # of the drawn touch; each number needs a program of its own, which takes seconds to compile
+readings = st.integers(1, 12).flatmap(
+    lambda rows: st.tuples(
+        arrays(np.int16, (rows, CELLS), elements=st.integers(-(2**15), 2**15 - 1)),
+        arrays(bool, (rows, CELLS)),
+    )
+)
 
 
-@pytest.mark.parametrize(("counts", "baseline"), [([600, 601], 600), ([601, 602], 602), ([5, 9], 7)])
-def test_a_median_between_two_counts_is_rounded_half_to_even(counts: list[int], baseline: int) -> None:
-    assert Zero(scans=2).push(_touch(counts)).counts[0, 0] == counts[0] - baseline
+def _touch(counts: list[int]) -> Touch:
+    """Rows in each of which all cells read the same."""
+    return Touch.rows(range(len(counts)), np.repeat(np.array(counts)[:, None], 6, axis=1), 9, True)
 
 
-def test_only_valid_readings_make_the_baseline_and_a_cell_that_never_answered_stays_invalid() -> None:
-    valid = np.ones((3, 6), np.bool_)
-    valid[1:, 2] = valid[:, 4] = False
-    zero = Zero(scans=3)
-    assert zero.push(_touch([600, 0, 0], valid)).counts[0, valid[0]].tolist() == [600, 600, 0, 600, 600]
-    assert zero.push(_touch([600], start=3)).valid[0].tolist() == [True] * 4 + [False, True]
-
-
-def test_a_short_stream_is_zeroed_with_its_own_median_at_the_end() -> None:
-    zero = Zero()
-    zero.push(_touch([600, 610, 620]))
-    assert zero.flush().counts[:, 0].tolist() == [-10, 0, 10]
-    assert len(zero.flush()) == 0
+@given(readings=readings, scans=st.integers(1, 8))
+def test_the_baseline_is_the_median_of_first_readings(readings: tuple[Counts, Flags], scans: int) -> None:
+    """They are held back; a median between two counts is rounded half to even; 16 bits limit a difference."""
+    counts, valid = readings
+    touch = Touch.rows(np.arange(len(counts)) * 10 * ms, counts, counts, valid, finger=1)
+    zero = Zero(scans=scans, spike=inf)
+    assert not len(zero.push(touch[: scans - 1]))
+    zeroed = concat(Zeroed, [zero.push(touch[scans - 1 :]), zero.flush()])
+    assert (zeroed.time.tolist(), zeroed.finger) == (touch.time.tolist(), 1)
+    np.testing.assert_array_equal(zeroed.temperature, counts)
+    for cell, answered in enumerate(valid.T):
+        first = counts[:scans, cell][answered[:scans]]
+        assert zeroed.valid[:, cell].tolist() == (answered & bool(len(first))).tolist()
+        known = zeroed.valid[:, cell]
+        level = round(float(np.median(first))) if len(first) else 0
+        expected = np.clip(counts[known, cell].astype(int) - level, -(2**15), 2**15 - 1)
+        assert zeroed.counts[known, cell].tolist() == expected.tolist()
 
 
 def test_a_given_baseline_is_subtracted_at_once() -> None:
     assert Zero(500).push(_touch([400])).counts[0].tolist() == [-100] * 6
     by_cell = Zero((0, 1, 2, 3, 4, 1023)).push(_touch([400]))
     assert by_cell.counts[0].tolist() == [400, 399, 398, 397, 396, -623]
+    assert Zero(-20_000).push(_touch([32_000, -32_000])).counts[:, 0].tolist() == [32_767, -12_000]
+    for zero in (Zero(650), Zero((650,) * 4)):
+        assert zero.push(Touch.rows([0], [[700] * 4], 0, True)).counts.tolist() == [[50] * 4]
 
 
 def test_zeroed_input_passes_unchanged() -> None:
     touch = _touch([600, 601])
     zeroed = Zeroed(touch.time, touch.counts, touch.temperature, touch.valid)
     np.testing.assert_array_equal(Zero(scans=2).push(zeroed).packed, zeroed.packed)
-
-
-def test_the_number_of_cells_comes_from_the_batch() -> None:
-    cells = np.full((3, 4), 700, np.int16)
-    touch = Touch(np.arange(3), cells, cells, cells > 0)
-    for zero in (Zero(650), Zero((650, 650, 650, 650))):
-        assert (zero.push(touch).counts == 50).all()
-    assert (Zero(scans=2).push(touch).counts == 0).all()
-
-
-def test_a_difference_beyond_16_bits_is_limited_and_keeps_its_sign() -> None:
-    assert Zero(-20_000).push(_touch([32_000, -32_000])).counts[:, 0].tolist() == [32_767, -12_000]

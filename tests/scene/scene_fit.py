@@ -129,8 +129,7 @@ def without(plan: PaperPlan, term: Mapping[str, Any]) -> PaperPlan:
     """Return a plan without a term of the scene."""
     p = plan.parameters
     return _with(
-        plan,
-        {name: getattr(p, value) if isinstance(value, str) else value for name, value in term.items()},
+        plan, {name: getattr(p, value) if isinstance(value, str) else value for name, value in term.items()}
     )
 
 

@@ -115,13 +115,13 @@ def write_pad(root: Path) -> Session:
     return Session.open(root)
 
 
-def same(left: Batch, right: Batch) -> None:
-    """One is the other, bit for bit."""
-    assert type(left) is type(right)
-    assert left.finger == right.finger
-    for each in columns(type(left)):
-        one, other = getattr(left, each), getattr(right, each)
-        assert (one.dtype, one.shape, one.tobytes()) == (other.dtype, other.shape, other.tobytes())
+def same(found: Batch, expected: Batch) -> None:
+    """Assert that two batches have the same type, fingertip and rows, bit for bit, NaN included."""
+    assert type(found) is type(expected)
+    assert found.finger == expected.finger or not len(found)
+    for name in columns(type(found)):
+        one, other = getattr(found.check(), name), getattr(expected.check(), name)
+        assert (one.dtype, one.shape, one.tobytes()) == (other.dtype, other.shape, other.tobytes()), name
 
 
 def side_by_side(turns: int, streams: Sequence[tuple[type[Batch], int]] = STREAMS) -> list[Batch]:

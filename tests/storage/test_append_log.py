@@ -28,9 +28,7 @@ def read(path: Path) -> tuple[list[bytes], Damage | None]:
     return [record.data for record in reader.records()], reader.damage
 
 
-def test_records_are_read_back_with_the_offsets_that_append_returned_also_while_it_is_written(
-    log: AppendLog,
-) -> None:
+def test_records_are_read_back_at_the_offsets_of_append_also_while_it_is_written(log: AppendLog) -> None:
     offsets = log.append(RECORDS[:3])
     assert read(log.path) == (RECORDS[:3], None)
     offsets += log.append(RECORDS[3:])
@@ -115,9 +113,7 @@ def test_frames_of_another_log_are_not_read(log: AppendLog) -> None:
         assert read(log.path) == (RECORDS[:number], Damage(place, len(whole) - place, torn=False))
 
 
-def test_another_version_a_link_and_a_pipe_are_refused_and_leave_no_descriptor(
-    log: AppendLog, tmp_path: Path
-) -> None:
+def test_another_version_a_link_and_a_pipe_are_refused_and_closed(log: AppendLog, tmp_path: Path) -> None:
     before = len([*Path("/proc/self/fd").iterdir()])
     (tmp_path / "other").write_bytes(b"SLIPLOG\x02" + bytes(100))
     (tmp_path / "link").symlink_to(log.path)

@@ -58,9 +58,7 @@ async def work_on() -> None:
     ],
 )
 async def test_a_failure_is_logged_at_once_and_raised_by_check(
-    work: Callable[[], Coroutine[Any, Any, None]],
-    reason: str,
-    caplog: pytest.LogCaptureFixture,
+    work: Callable[[], Coroutine[Any, Any, None]], reason: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     reasons = list[str]()
     task = BackgroundTask("device", "the reading", work(), reasons.append)

@@ -149,11 +149,7 @@ async def test_a_file_of_others_in_the_journal_stays_and_hinders_nothing(tmp_pat
     for each in (folder, killed):
         assert len(Session.open(each).frame("touch")) == 20
         assert contents(each / "journal") == {name: b"mine"}
-        assert (
-            verify(each)
-            .findings[-1]
-            .text.endswith(f"{name}: is not read: its name is not that of a part or segment")
-        )
+        assert f"{name}: is not read: its name is not " in verify(each).findings[-1].text
     assert Session.open(folder).about["complete"] is True
     assert verify(folder).code == 0
 
@@ -167,11 +163,7 @@ async def test_a_batch_without_a_table_is_refused_and_not_stored(tmp_path: Path)
         (new_batch(Sample), ParameterError, "batch is 'Sample', must be one of Touch, .*Labelled"),
         (new_batch(Scores), ParameterError, "batch is 'Scores', must be one of"),
         (aside, ParameterError, "finger of a Motion is 2, must be EVERY"),
-        (
-            new_batch(Touch, finger=2**15),
-            ParameterError,
-            "finger of a Touch is 32768, must be from -1 to 32767",
-        ),
+        (new_batch(Touch, finger=2**15), ParameterError, "finger of a Touch is 32768, must be from -1 to"),
         (broken, BatchError, r"Touch\.counts: is float64"),
     ]
     dataset = Dataset(tmp_path)
@@ -190,10 +182,7 @@ def test_a_place_that_cannot_be_written_to_is_one_line_and_leaves_nothing(tmp_pa
     (tmp_path / "file").write_text("mine")
     for place, complaint in (
         (tmp_path / "file", "file: is a file, must be a folder"),
-        (
-            tmp_path / "file/below",
-            "below: cannot be written: Not a directory; a file exists where a folder is needed",
-        ),
+        (tmp_path / "file/below", "below: cannot be written: Not a directory; a file exists where a"),
         (Path("/proc/slipflow"), "slipflow: cannot be written: No such file or directory"),
     ):
         with pytest.raises(EndpointError, match=complaint) as error:
@@ -259,9 +248,7 @@ def test_a_failure_at_any_step_of_a_replay_costs_nothing_but_a_second_try(tmp_pa
         assert [*root.rglob("*.tmp"), *root.rglob("journal")] == []
 
 
-async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spoils_nothing(
-    tmp_path: Path,
-) -> None:
+async def test_a_cancelled_write_without_a_journal_takes_nothing_and_spoils_nothing(tmp_path: Path) -> None:
     dataset = Dataset(tmp_path)
     dataset.part_span = s
     await dataset.open(new_run(live=False))
@@ -278,9 +265,7 @@ async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spo
     assert Session.open(tmp_path).frame("touch")["time"].to_list() == [n * 10 * ms for n in range(5)]
 
 
-async def test_a_slow_commit_makes_no_row_wait_until_as_many_as_a_part_holds_are_in_memory(
-    tmp_path: Path,
-) -> None:
+async def test_a_slow_commit_makes_no_row_wait_until_a_whole_part_is_in_memory(tmp_path: Path) -> None:
     dataset = Dataset(tmp_path)
     dataset.part_span, dataset.part_rows = 100 * ms, 50
     await dataset.open(new_run())
@@ -337,9 +322,7 @@ print(storage.arrow.pa.default_memory_pool().backend_name)
     assert done.stdout.split() == ["[]", "system"]
 
 
-def test_of_several_processes_that_begin_a_dataset_one_describes_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_of_many_processes_describes_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     @contextmanager
     def beaten(root: Path) -> Generator[None]:
         """By a process that held the lock when we asked for it."""

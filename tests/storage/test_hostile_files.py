@@ -112,9 +112,7 @@ def test_whatever_a_manifest_lists_the_errors_are_typed(folder: Path, data: st.D
 
 @settings(max_examples=12)
 @given(data=st.data())
-def test_whatever_a_card_says_the_errors_are_typed(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
+def test_errors_of_any_card_are_typed(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     model = shipped("tcn")
     assert model
     path = tmp_path_factory.getbasetemp() / "tcn.safetensors"

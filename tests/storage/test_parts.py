@@ -20,13 +20,7 @@ from storage.schema import from_arrow, to_arrow
 from tests.storage.made import new_batch, new_episodes, same
 
 PATH = "touch/part-000000.parquet"
-GOOD: dict[str, Any] = {
-    "path": PATH,
-    "rows": 3,
-    "first": 1,
-    "last": 5,
-    "sha256": "0f" * 32,
-}
+GOOD: dict[str, Any] = {"path": PATH, "rows": 3, "first": 1, "last": 5, "sha256": "0f" * 32}
 
 
 @pytest.fixture(scope="session")
@@ -81,9 +75,7 @@ def test_a_failing_disk_or_a_lack_of_memory_is_not_reported_as_damage(
         read_part(tmp_path, part)
 
 
-def test_other_columns_and_nulls_are_reported_by_name_and_further_ones_ignored(
-    rows: pa.Table, tmp_path: Path
-) -> None:
+def test_other_columns_and_nulls_are_named_and_further_ones_ignored(rows: pa.Table, tmp_path: Path) -> None:
     counts = cast("Any", pa).array([[0.5] * 6] * len(rows), pa.list_(pa.float64(), 6))
     holed = cast("Any", pa).array([[None, 0, 0, 0, 0, 0]] * len(rows), pa.list_(pa.int16(), 6))
     column = pa.field("counts", pa.list_(pa.int16(), 6), metadata={"unit": "count"})
@@ -127,9 +119,7 @@ def test_an_impossible_part_is_refused_by_its_number(tmp_path: Path, changes: di
             read_manifest(tmp_path)
 
 
-def test_codes_are_stored_by_name_and_come_back_whatever_codes_and_indices_the_file_has(
-    tmp_path: Path,
-) -> None:
+def test_codes_are_stored_by_name_and_read_back_whatever_codes_and_indices_a_file_has(tmp_path: Path) -> None:
     batch = new_episodes((0, 1, "hold"), (1, 2, "tap"), (2, 3, "hold"))
     rows: Any = to_arrow(EPISODES, [batch])
     assert rows["motion"].to_pylist() == ["hold", "tap", "hold"]

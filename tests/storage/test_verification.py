@@ -152,18 +152,14 @@ def other(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("document", ["session.json", "MANIFEST.json", "labels/000001.json"])
-def test_a_document_of_another_session_is_named_by_verify_and_refused(
-    dataset: Path, other: Path, document: str
-) -> None:
+def test_a_document_of_another_session_is_refused(dataset: Path, other: Path, document: str) -> None:
     folder = dataset / "sessions/one"
     Session.open(folder).write_hand_labels([LabelSpan(0, 9, 0, "slip")], based_on=0)
     assert verify(dataset).code == 0
     copyfile(other / document, folder / document)
     found = verify(dataset)
     assert found.worst == "lost"
-    assert any(
-        f"belongs to session '{name}' of " in each.text for each in found.findings for name in ("one", "two")
-    )
+    assert any("belongs to session '" in each.text for each in found.findings)
     with pytest.raises(InputError, match="belongs to session"):
         Session.open(folder).hand_labels()
 

@@ -1,19 +1,82 @@
 import asyncio
 import logging
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from itertools import pairwise
 from math import inf, nan
+from typing import Any
 
+import numpy as np
 import pytest
 
 from connectors import Gripper
 from connectors.gripper.robotiq import Request
+from flows.run.clocks import LoopClock
 from flows.run.diagnosis import diagnose
-from operators import EndpointError, ParameterError
-from tests.connectors.gripper.gripper_lab import commands, lab
-from tests.emulators.gripper import RELEASED, register_force
+from operators import EndpointError, s
+from operators.batch import Commands
+from operators.ports import Run
+from tests.emulators.gripper import HOST, PORT, RELEASED, GripperServer, asked, register_force
 
 pytestmark = pytest.mark.virtual
 pytest.importorskip("pymodbus")
+
+
+@dataclass
+class Lab:
+    """Emulated gripper on the event loop's time, and the requests that it received."""
+
+    server: GripperServer
+    run: Run
+    asked: list[tuple[float, bytes]]  # s of the loop, and a request's bytes after the transaction's number
+    answered: list[bytes]  # the same
+
+    @asynccontextmanager
+    async def gripping(self, force: float | None = None, **parameters: Any) -> AsyncGenerator[Gripper]:
+        """Open a sink for a block, and command a force (N) if one is given."""
+        gripper = Gripper(HOST, PORT, **parameters)
+        await gripper.open(self.run)
+        if force is not None:
+            await gripper.write(commands(force))
+        try:
+            yield gripper
+        finally:
+            await gripper.close()
+
+    @property
+    def writes(self) -> list[Request]:
+        """Requests to the gripper."""
+        return [asked(data[-6:]) for _, data in self.asked if data[5] == 16]
+
+    @property
+    def forces(self) -> list[float]:
+        """Grip forces on the object, N."""
+        return self.server.mechanism.forces
+
+
+@asynccontextmanager
+async def lab(**parameters: Any) -> AsyncGenerator[Lab]:
+    """Serve a gripper for a block."""
+    loop, received, answered = asyncio.get_running_loop(), list[tuple[float, bytes]](), list[bytes]()
+    begun = loop.time()
+    server = GripperServer(now=lambda: round((loop.time() - begun) * s), **parameters)
+
+    def listen(sending: bool, data: bytes) -> bytes:
+        if sending:
+            answered.append(data[2:])
+        elif data:
+            received.append((loop.time(), data[2:]))
+        return data
+
+    server.trace = listen
+    async with server:
+        yield Lab(server, Run("run1", "live", LoopClock(), 0), received, answered)
+
+
+def commands(*forces: float) -> Commands:
+    """Return a row for each force (N), 1 ns apart."""
+    return Commands(np.arange(len(forces)), np.array(forces, float)).check()
 
 
 async def test_requests_and_answers_equal_the_frames_in_the_manual() -> None:
@@ -84,9 +147,7 @@ async def test_a_silent_gripper_fails_and_later_gets_the_newest_force() -> None:
         at.server.silent = True
         await asyncio.sleep(1.2)
         for force in (20.0, 25.0, 30.0):
-            with pytest.raises(
-                EndpointError, match=r"modbus://.*/2: does not answer within 1.0 s: is 2 its unit"
-            ):
+            with pytest.raises(EndpointError, match=r"modbus://.*/2: does not answer .*: is 2 its unit"):
                 await gripper.write(commands(force))
         assert gripper.status is None
         at.server.silent = False
@@ -113,7 +174,7 @@ async def test_a_refused_force_is_sent_once_the_gripper_accepts_it() -> None:
 
 async def test_a_fault_is_reset_at_the_start_of_a_run_only() -> None:
     async with lab() as at:
-        gripper = at.gripper()
+        gripper = Gripper(HOST, PORT)
         await gripper.open(at.run)
         await gripper.write(commands(20.0))
         await asyncio.sleep(5)
@@ -135,7 +196,7 @@ async def test_a_fault_is_reset_at_the_start_of_a_run_only() -> None:
 
 async def test_closing_sends_the_newest_force_or_raises() -> None:
     async with lab() as at:
-        gripper = at.gripper()
+        gripper = Gripper(HOST, PORT)
         await gripper.open(at.run)
         await gripper.write(commands(20.0))
         await gripper.close()
@@ -149,40 +210,20 @@ async def test_closing_sends_the_newest_force_or_raises() -> None:
         await gripper.close()  # nothing is left to be done
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("port", 65536),
-        ("unit", -1),
-        ("port", "502"),
-        ("limits", (10.0, 40.0)),
-        ("limits", (15.0, 61.0)),
-        ("limits", (40.0, 20.0)),
-        ("limits", (nan, 20.0)),
-    ],
-)
-def test_invalid_values_are_refused(name: str, value: object) -> None:
-    with pytest.raises(ParameterError, match=f"Gripper: {name}"):
-        Gripper("10.0.0.3", **{name: value})  # type: ignore[arg-type]
-
-
 async def test_the_check_before_a_run_reads_the_status_and_moves_nothing() -> None:
     async with lab() as at:
         clock = at.run.clock
-        states = [(await diagnose({"hand": at.gripper()}, clock))["hand"][0]]
+        states = [(await diagnose({"hand": Gripper(HOST, PORT)}, clock))["hand"][0]]
         async with at.gripping():
             await asyncio.sleep(10)
-        states += (await diagnose({"hand": at.gripper()}, clock))["hand"]
+        states += (await diagnose({"hand": Gripper(HOST, PORT)}, clock))["hand"]
         at.server.mechanism.fail(RELEASED)
-        states += (await diagnose({"hand": at.gripper()}, clock))["hand"]
+        states += (await diagnose({"hand": Gripper(HOST, PORT)}, clock))["hand"]
         assert [found.state for found in states] == ["note", "good", "bad"]
         assert states[2].text.startswith("has released automatically, and must be reset: remove what")
         assert len(at.writes) == 1  # by the run
     [silent] = (await diagnose({"hand": Gripper("127.0.0.1", 1)}, clock))["hand"]
-    assert (silent.state, silent.text) == (
-        "bad",
-        "cannot be reached: is it on, is this its address and port?",
-    )
+    assert (silent.state, silent.text.startswith("cannot be reached: is it on")) == ("bad", True)
 
 
 async def test_a_failure_of_the_control_is_logged_at_once_and_raised_by_write_and_close(
@@ -192,7 +233,7 @@ async def test_a_failure_of_the_control_is_logged_at_once_and_raised_by_write_an
         raise KeyError("planted")
 
     async with lab() as at:
-        gripper = at.gripper()
+        gripper = Gripper(HOST, PORT)
         await gripper.open(at.run)
         monkeypatch.setattr(Gripper, "_step", fail)
         await asyncio.sleep(1.0)
@@ -201,9 +242,6 @@ async def test_a_failure_of_the_control_is_logged_at_once_and_raised_by_write_an
             await gripper.write(commands(30.0))
         with pytest.raises(EndpointError, match="the control of the gripper has failed"):
             await gripper.close()
-
-
-# --- restarts and missing answers ---
 
 
 @pytest.mark.parametrize("drop", [False, True])
@@ -224,7 +262,7 @@ async def test_a_gripper_that_restarts_is_activated_again_and_grips_again(
 async def test_an_activation_that_takes_too_long_fails() -> None:
     async with lab(activation=3600.0) as at:
         loop = asyncio.get_running_loop()
-        gripper, begun = at.gripper(), loop.time()
+        gripper, begun = Gripper(HOST, PORT), loop.time()
         with pytest.raises(EndpointError, match=r"is not ready within 30.0 s"):
             await gripper.open(at.run)
         assert 30 < loop.time() - begun < 30.5

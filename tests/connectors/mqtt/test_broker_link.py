@@ -72,9 +72,7 @@ def test_an_unknown_host_is_one_clear_line(host: str) -> None:
         asyncio.run(use(f"mqtt://{host}"))
 
 
-def test_a_cancelled_attempt_leaves_no_open_connection(
-    broker: TestBroker, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cancelled_attempt_is_disconnected(broker: TestBroker, monkeypatch: pytest.MonkeyPatch) -> None:
     begun, go_on, clients = threading.Event(), threading.Event(), list[Client]()
     connect = vars(Client)["_client_connect"]
 
@@ -101,9 +99,7 @@ def test_a_cancelled_attempt_leaves_no_open_connection(
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("turns", [0, 1, 3])
-def test_a_lost_connection_is_detected_while_sending(
-    broker: TestBroker, number: signal.Signals, turns: int
-) -> None:
+def test_a_lost_connection_is_seen_in_sending(broker: TestBroker, number: signal.Signals, turns: int) -> None:
     async def main() -> None:
         link = await connect(Broker.parse(broker.url), "test")
         await deliver(link, "a")
@@ -118,9 +114,7 @@ def test_a_lost_connection_is_detected_while_sending(
     asyncio.run(main(), debug=True)
 
 
-async def test_a_missing_acknowledgement_times_out(
-    broker: TestBroker, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_lost_acknowledgement_times_out(broker: TestBroker, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "TIMEOUT", 0.2)
     link = await connect(Broker.parse(broker.url), "test")
     assert broker.process

@@ -1,8 +1,8 @@
 import asyncio
+import re
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from msgspec.structs import replace
@@ -11,7 +11,7 @@ from connectors import Consumer, Event, Mqtt
 from connectors.mqtt import broker_link as link
 from connectors.mqtt.broker import Message
 from connectors.mqtt.broker_link import Link
-from operators.errors import EndpointError, ParameterError
+from operators.errors import EndpointError
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.connectors.mqtt.made import EVENT, opened, slips
@@ -67,9 +67,7 @@ async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: T
         assert await take(events, 1) == [1]
     assert len(reports) == len(bad)
     assert all(
-        report.startswith(("ignoring malformed message: slip/v1/lab/", "ignoring malformed message: 'slip"))
-        and report.isprintable()
-        for report in reports
+        re.match("ignoring malformed message: '?slip/", each) and each.isprintable() for each in reports
     )
     assert {
         f"ignoring malformed message: {UR10}/0/event: Object missing required field `specversion`",
@@ -93,9 +91,7 @@ async def test_dropped_messages_are_reported_and_their_events_fetched(
     assert all("the consumer is behind: " in report for report in reports)
 
 
-async def test_an_unwritable_position_file_is_reported_and_written_once_it_can_be(
-    broker: TestBroker, tmp_path: Path
-) -> None:
+async def test_an_unwritable_position_is_named_and_written_later(broker: TestBroker, tmp_path: Path) -> None:
     reports, folder = list[str](), tmp_path / "there"
     folder.mkdir()
     async with Consumer(broker.url, position_file=folder / "position", report=reports.append) as events:
@@ -136,12 +132,3 @@ async def test_a_check_asks_at_most_100_rigs_and_the_next_one_asks_others() -> N
         vars(Consumer)["_check"](events, SimpleNamespace(publish=posted.append))
         assert len({message.topic for message in posted}) == len(posted) == min(100 * checks, 301)
     assert f"{UR10}/replay/request" in {message.topic for message in posted}
-
-
-@pytest.mark.parametrize(
-    "parameters", [{"site": "#"}, {"rig": "a/b"}, {"site": ""}, {"since": "then"}, {"url": "localhost"}]
-)
-def test_invalid_parameters_are_rejected(parameters: dict[str, Any]) -> None:
-    options: dict[str, Any] = {"url": "mqtt://localhost", **parameters}
-    with pytest.raises(ParameterError, match=r"^Consumer: "):
-        Consumer(**options)

@@ -6,8 +6,6 @@ from scipy.spatial.transform import Rotation
 
 from connectors.sim.arm_motion import Controller, PlannedArm, in_base
 from connectors.sim.scene import Move, Scene
-from operators.batch import MotionKind
-from operators.errors import ParameterError
 
 PLAN = (
     Move("hold", 0.5, force=2.0),
@@ -43,9 +41,3 @@ def test_the_controller_keeps_its_own_time_and_reports_late() -> None:
     assert set(np.diff(motion.time).tolist()) == {8_000_000}
     assert motion.time[0] == 70_000_000
     assert set(np.diff(motion.device_time).tolist()) == {8_000_000}
-
-
-@pytest.mark.parametrize(("rest", "kind"), [(-0.1, "hold"), (0.5, "translation")])
-def test_a_move_that_never_moves_is_refused(rest: float, kind: MotionKind) -> None:
-    with pytest.raises(ParameterError, match="rest"):
-        Move(kind, 0.5, rest)

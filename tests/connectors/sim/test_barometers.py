@@ -4,15 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad
 
-from connectors.sim.barometers import (
-    CEILING,
-    DECADES,
-    Barometers,
-    cell_positions,
-    grid,
-    influence,
-    respond,
-)
+from connectors.sim.barometers import CEILING, DECADES, Barometers, cell_positions, grid, influence, respond
 from connectors.sim.scene import Faults, Parameters
 from operators.batch import Counts, Reals
 
@@ -70,9 +62,7 @@ def pressed(pressure: float, rows: int = 50) -> Reals:
         (Faults(dead=1, drift=10), lambda clean: np.rint(clean + 10 * T[:, None])),
     ],
 )
-def test_each_fault_is_that_of_the_cells_that_respond(
-    faults: Faults, expected: Callable[[Counts], Reals]
-) -> None:
+def test_each_fault_is_that_of_responding_cells(faults: Faults, expected: Callable[[Counts], Reals]) -> None:
     clean, _, _ = cells(Faults()).read(T, pressed(2000.0), 0.0125)
     counts, _, valid = cells(faults).read(T, pressed(2000.0), 0.0125)
     assert valid[0].tolist() == [False, True, True, True, True, True]

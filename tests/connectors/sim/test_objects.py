@@ -7,7 +7,7 @@ from connectors.sim.objects import OBJECTS
 @pytest.mark.parametrize("name", OBJECTS)
 def test_the_inertia_is_that_of_the_filled_shape(name: str) -> None:
     thing = OBJECTS[name]
-    side = (np.arange(200) + 0.5) / 200 - 0.5
+    side = (np.arange(100) + 0.5) / 100 - 0.5
     x, y, z = np.meshgrid(side * thing.width, side * thing.length, side * thing.width)
     filled = {
         "plane": np.ones(x.shape, np.bool_),

@@ -12,11 +12,7 @@ from operators.batch import MOTIONS, SURFACES, Batch, Episodes, Touch, Truth, co
 from operators.ports import Source
 
 ORIGIN = 1_700_000_000_000_000_000
-PLAN = (
-    Move("hold", 0.5, force=0.0),
-    Move("hold", 0.5, force=2.0),
-    Move("translation", 0.9, 0.3, 45.0, 0.1),
-)
+PLAN = (Move("hold", 0.5, force=0.0), Move("hold", 0.5, force=2.0), Move("translation", 0.9, 0.3, 45.0, 0.1))
 
 
 def gather(*sources: Source[Any], start: int = ORIGIN) -> list[Any]:

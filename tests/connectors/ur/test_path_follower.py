@@ -8,7 +8,6 @@ import pytest
 
 from connectors.ur.path_follower import PathFollower
 from connectors.ur.ur_state import Point
-from operators import ParameterError
 from operators.batch import Reals
 
 STEP = 0.004  # s
@@ -51,8 +50,3 @@ def test_an_arc_is_followed_at_its_speed_and_height_to_its_end(speed: float, lat
     cruise = speeds[len(speeds) // 3 : -len(speeds) // 3]
     np.testing.assert_allclose(cruise, speed, rtol=0.03)
     assert math.dist(way[-1], points[-1]) < 1.5e-3 + late * speed
-
-
-def test_a_line_of_equal_points_is_refused() -> None:
-    with pytest.raises(ParameterError):
-        PathFollower([(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)], 0.05, 0.5)

@@ -90,9 +90,7 @@ def test_rubbish_is_an_error(data: bytes) -> None:
         (4, b"HTTP/1.1 400 Bad Request", "package of 18516 bytes"),
     ],
 )
-def test_an_unexpected_package_is_an_error_after_the_data_before_it(
-    answers: int, wrong: bytes, reason: str
-) -> None:
+def test_an_unexpected_package_fails_after_earlier_data(answers: int, wrong: bytes, reason: str) -> None:
     before = [*ANSWERS[:answers], *([pack(Kind.DATA, DATA[0])] if answers == 4 else [])]
     received, error, _ = fed([b"".join([*before, wrong])])
     assert reason in error

@@ -16,14 +16,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from connectors.ur.control_process import Command, Signal
+from connectors.ur.control_process import STOP_DECELERATION, Command, Move, MoveTo, Signal
 from connectors.ur.ur_arm import PATH_TOLERANCE, UrArm, request_stop
 from connectors.ur.ur_state import ArmState, Bounds
 from flows.graph.testing import VirtualLoop
 from flows.run.clocks import LoopClock
 from operators import EndpointError
-from tests.connectors.ur.direct_control import DirectControl
-from tests.emulators.ur_control_box import RuntimeState, SafetyMode
+from tests.emulators.ur_control_box import ControlBox, RuntimeState, SafetyMode
 from tests.emulators.ur_controller import ANYWHERE, CB3, E_SERIES, UrController
 from tests.emulators.ur_program import Program
 from tests.loopback import own_host
@@ -34,6 +33,42 @@ HOST = own_host(2)
 BEGIN = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 BOUNDS = Bounds((0.3, -0.1, 0.05), (0.5, 0.1, 0.2), force=20.0)
 NEWEST = (5, 24, 0, 1)
+
+
+class DirectControl:
+    """Stand-in for `ControlClient`, for virtual time: commands reach the drive of a control box at once."""
+
+    def __init__(self, box: ControlBox, host: str, watchdog: float, failed: Callable[[str], None]) -> None:
+        del host, watchdog, failed
+        self.process: object | None = None
+        self.ready, self.ended = False, asyncio.Event()
+        self._box = box
+
+    def start(self) -> None:
+        self.process, self.ready = self, True
+
+    def send(self, command: Command) -> None:
+        drive = self._box.drive
+        if self._box.safety_mode != SafetyMode.NORMAL:
+            return
+        match command:
+            case MoveTo(pose, speed, acceleration):
+                drive.line(np.array(pose), speed, acceleration)
+            case Move(velocity, acceleration):
+                drive.speed(np.array(velocity), acceleration)
+            case Signal.STOP if drive.task == "speed":
+                drive.speed(np.zeros(6), STOP_DECELERATION)
+            case Signal.STOP | Signal.RELEASE if drive.task != "none":
+                drive.stop(STOP_DECELERATION)
+            case _:
+                pass
+
+    async def keep_alive(self) -> None:
+        await self.ended.wait()
+
+    async def close(self) -> None:
+        self.process = None
+        self.ended.set()
 
 
 @dataclass
@@ -195,9 +230,7 @@ async def test_a_missing_state_stops_it() -> None:
         assert "sent nothing" in here.arm.fault
 
 
-async def test_an_arm_that_is_late_on_its_path_gets_no_velocity_after_the_stop(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_late_arm_on_a_path_gets_no_velocity_after_the_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     sent, arm = list[Command](), UrArm(HOST, BOUNDS, LoopClock())
     arm.state = ArmState(BEGIN, (0.0,) * 6)
     monkeypatch.setattr(arm.control, "send", sent.append)

@@ -17,7 +17,7 @@ from flows.graph.testing import TestSink
 from flows.run.clocks import LoopClock
 from flows.run.diagnosis import diagnose
 from flows.run.live_runner import LiveRunner
-from operators import DeviceClock, EndpointError, Finding, Motion, ParameterError, concat, ms, s
+from operators import DeviceClock, EndpointError, Finding, Motion, concat, ms, s
 from tests.emulators.ur_control_box import SafetyMode
 from tests.emulators.ur_controller import ANYWHERE, CB3, E_SERIES, UrController
 
@@ -70,9 +70,6 @@ async def lab(
         yield Lab(controller, UrMotion(HOST, rate, controller.ports.rtde), clock)
 
 
-# --- received packages ---
-
-
 @pytest.mark.parametrize(("version", "rate"), [(CB3, 125.0), (E_SERIES, 125.0), (E_SERIES, 500.0)])
 async def test_every_package_is_received_once_in_order(version: tuple[int, ...], rate: float) -> None:
     async with lab(version, rate) as here:
@@ -100,9 +97,6 @@ async def test_a_slow_flow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
     assert [len(batch) for batch in taken].count(20) >= 5  # reading pauses after 20 unread packages
 
 
-# --- failures ---
-
-
 async def test_a_clock_that_goes_back_ends_the_connection() -> None:
     async with lab() as here:
         taken, reason = await here.fail(1.0, lambda: here.controller.restart(drop=False))
@@ -120,9 +114,6 @@ async def test_invalid_stamps_are_refused(stamp: float, monkeypatch: pytest.Monk
         assert "sent timestamps" in (await here.fail(0.0, lambda: None))[1]
 
 
-# --- in a flow ---
-
-
 async def live(body: Callable[[Lab], None], seconds: int) -> tuple[Any, TestSink, Lab]:
     """Run the source, raw and in the host's time, with faults that `body` schedules."""
     async with lab(CB3, drift=50e-6) as here:
@@ -134,9 +125,7 @@ async def live(body: Callable[[Lab], None], seconds: int) -> tuple[Any, TestSink
         return run, sink, here
 
 
-async def test_after_a_restart_the_run_goes_on_with_a_gap_and_a_new_epoch(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_after_a_restart_a_run_has_a_gap_and_a_new_epoch(caplog: pytest.LogCaptureFixture) -> None:
     def restart(here: Lab) -> None:
         loop = asyncio.get_running_loop()
         loop.call_later(16.0, here.controller.restart)
@@ -157,18 +146,6 @@ async def test_after_a_restart_the_run_goes_on_with_a_gap_and_a_new_epoch(
         shown = motion.time[first:stop] - began - motion.device_time[first:stop] / (1 + 50e-6)
         assert np.abs(shown).max() < 0.3 * ms  # until the drift is known, after 5 s
     assert here.source.describe()["messages"] == 3
-
-
-# --- parameters ---
-
-
-@pytest.mark.parametrize("rate", [0, 1, 501, 60, nan])
-def test_an_invalid_rate_is_refused(rate: float) -> None:
-    with pytest.raises(ParameterError):
-        UrMotion(HOST, rate)
-
-
-# --- checks before a run ---
 
 
 async def test_controller_and_rate_are_checked() -> None:

@@ -4,7 +4,6 @@ from math import nan
 import pytest
 
 from connectors.ur.ur_state import ArmState, Bounds
-from operators import ParameterError
 
 BOUNDS = Bounds((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), force=20.0)
 POSE = (0.5, 0.5, 0.5, math.pi, 0.0, 0.0)
@@ -37,10 +36,3 @@ def test_an_arm_stands_at_a_pose_within_tolerances() -> None:
     assert not ArmState(POSE, REST).stands_at((0.5, 0.5, 0.5, math.pi, 0.02, 0.0))
     assert not ArmState(POSE, (0.002, 0, 0, 0, 0, 0)).stands_at(POSE)
     assert ArmState(POSE, REST).stands_at((0.5, 0.5, 0.5, -math.pi, 0.0, 0.0))  # the same rotation
-
-
-def test_an_empty_workspace_or_no_force_is_refused() -> None:
-    with pytest.raises(ParameterError):
-        Bounds((0, 0, 0), (1, 0, 1))
-    with pytest.raises(ParameterError):
-        Bounds((0, 0, 0), (1, 1, 1), force=0)

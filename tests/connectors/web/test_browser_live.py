@@ -20,9 +20,7 @@ from tests.connectors.web.reading import fault, moved, scored
 TOKEN = "0123456789abcdef"  # noqa: S105 - of tests
 
 
-def test_a_running_flow_is_shown_and_a_slip_turns_the_page_red(
-    watched: Watched, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_running_flow_is_shown_and_a_slip_is_red(watched: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     tab, addresses = watched.tab, list[str]()
     monkeypatch.setattr("flows.cli.live_view.announce_page", lambda _, url, *__, **___: addresses.append(url))
     flow = Flow("pressed")

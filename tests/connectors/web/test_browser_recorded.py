@@ -85,9 +85,7 @@ def test_a_time_is_selected_by_slider_keys_click_and_event(watched: Watched, ser
     expect(tab.locator("#state")).to_have_attribute("data-slip", "true")
 
 
-def test_a_drag_zooms_and_escape_shows_the_whole_session_again(
-    watched: Watched, served: ServedRecording
-) -> None:
+def test_a_drag_zooms_and_escape_shows_the_whole_session(watched: Watched, served: ServedRecording) -> None:
     tab = watched.tab
     with tab.expect_request(re.compile(r"window\?begin=0&end=119\d\d")):
         tab.goto(served.url)
@@ -108,9 +106,7 @@ def test_a_drag_zooms_and_escape_shows_the_whole_session_again(
     expect(zoom_out).to_be_hidden()
 
 
-def test_the_threshold_slider_shows_the_events_that_the_debounce_finds(
-    watched: Watched, served: ServedRecording
-) -> None:
+def test_the_threshold_slider_shows_what_debounce_finds(watched: Watched, served: ServedRecording) -> None:
     tab, counts = watched.tab, set[int]()
     tab.goto(served.url)
     for threshold in (0.005, 0.5, 1.0):

@@ -13,7 +13,6 @@ from aiohttp import ClientSession, WSServerHandshakeError
 from connectors import Page
 from connectors.web.access import TOKEN
 from operators.batch import Touch, Zeroed, ms, s
-from operators.errors import ParameterError
 from operators.ports import Run
 from tests.connectors.web.reading import listening, slip
 from tests.waiting import PATIENCE
@@ -101,9 +100,3 @@ async def test_listening_needs_the_token_and_the_origin_of_the_page(
             await socket.send_str("")
             assert (await socket.receive_json())["run"]["session"] == "run1"
     await page.close()
-
-
-@pytest.mark.parametrize("wrong", [{"port": 70_000}, {"port": -1}, {"threshold": 1.5}])
-def test_parameters_out_of_range_are_rejected(wrong: dict[str, Any]) -> None:
-    with pytest.raises(ParameterError, match=f"Page: {next(iter(wrong))}"):
-        Page(**wrong)

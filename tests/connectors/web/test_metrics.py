@@ -58,13 +58,9 @@ async def test_metrics_are_served_to_this_machine_only_and_only_during_the_run(r
         await asked(metrics.url)
 
 
-async def test_other_machines_need_the_token_but_not_for_the_probes(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_other_machines_need_a_token_but_for_probes(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     run.sources["touch"], run.sinks["dataset"] = SourceStatus(), SinkStatus()
     wide = Metrics(0, "0.0.0.0")  # noqa: S104 - what is tested
-    with pytest.raises(ParameterError, match="from 0 to 65535"):
-        Metrics(65536)
     with pytest.raises(ParameterError, match="Metrics: token is None, must be set"):
         await wide.open(run)
     monkeypatch.setenv(TOKEN, "0123456789abcdef")
@@ -111,9 +107,7 @@ async def test_sources_and_sinks_are_those_of_the_runner(run: Run) -> None:
 
 
 @pytest.mark.parametrize("recording", [None, "stroke-9"])
-async def test_slips_are_counted_and_their_latency_is_a_histogram_unless_replayed(
-    run: Run, recording: str | None
-) -> None:
+async def test_slips_are_counted_and_have_a_latency_in_live_runs(run: Run, recording: str | None) -> None:
     run.recording = recording
     onsets = slips(NOW - 3 * ms, NOW - 15 * ms, NOW - 9 * s)
     found = read(await served(run, onsets, slips(NOW - 4 * ms, state=0), slips(NOW, finger=2)))

@@ -136,9 +136,7 @@ async def test_faults_and_quality_are_those_of_the_time(keep: Keep) -> None:
     assert found["rows"]["touch 0"]["t"] == [], "its row is too old"
 
 
-async def test_labels_and_truth_are_runs_that_end_where_the_value_changes_or_a_pause_begins(
-    keep: Keep,
-) -> None:
+async def test_labels_and_truth_are_runs_that_end_where_a_value_changes_or_a_pause_begins(keep: Keep) -> None:
     at = START + np.array([0, 10, 20, 30, 1000]) * ms
     labelled = replace(new_samples(at, finger=3), label=np.array([0, 0, 1, 1, 1], np.int8))
     sliding = np.zeros(100)

@@ -111,11 +111,8 @@ async def test_only_pages_of_the_server_can_write(monkeypatch: pytest.MonkeyPatc
 async def test_a_port_in_use_is_an_error_unless_any_port_will_do() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(EndpointError) as caught:
+        with pytest.raises(EndpointError, match=rf":{port}: .* numbers: .*in use; choose another port$"):
             await numbers(port=port).open()
-        assert str(caught.value) == (
-            f"http://127.0.0.1:{port}: cannot serve numbers: Address already in use; choose another port"
-        )
         one, other = (page_server("127.0.0.1", None) for _ in range(2))  # both would like the default port
         async with served(one), served(other):
             assert one.url != other.url

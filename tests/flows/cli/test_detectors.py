@@ -1,14 +1,13 @@
 """The commands `slipflow evaluate`, `train` and `onnx` as processes."""
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 from storage.models import shipped
-from tests.command import slipflow
+from tests.command import captured, slipflow
 
 
 def test_evaluate_writes_page_and_tables(tiny: Path, tmp_path: Path) -> None:
@@ -57,9 +56,7 @@ def test_a_command_needs_only_the_packages_that_it_uses(
 ) -> None:
     code = HIDING.replace("{hidden}", repr(hidden))
     given = [str(tiny) if each == "DATA" else each for each in arguments]
-    done = subprocess.run(
-        [sys.executable, "-c", code, *given], capture_output=True, text=True, check=False, cwd=tmp_path
-    )
+    done = captured(sys.executable, "-c", code, *given, cwd=tmp_path)
     assert error in done.stderr
     left_out = error.startswith("not evaluated")
     assert (done.returncode == 0) == (not error or left_out), done.stderr

@@ -12,9 +12,7 @@ from operators.ports import SinkStatus
 from tests.command import slipflow
 
 
-def test_lost_rows_and_an_interruption_set_the_exit_code(
-    run: Run, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lost_rows_or_an_interruption_set_the_exit_code(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     run.sinks["dataset"] = SinkStatus(dropped=1)
     for error, code, text in (
         ("", 1, "dataset dropped rows (1)"),

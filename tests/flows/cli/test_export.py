@@ -10,9 +10,7 @@ from tests.command import slipflow
 from tests.storage.made import session_names
 
 
-def test_a_dataset_becomes_a_file_for_each_session_or_one_session_one_file(
-    tiny: Path, tmp_path: Path
-) -> None:
+def test_a_dataset_becomes_a_file_per_session_or_one_session_one_file(tiny: Path, tmp_path: Path) -> None:
     done = slipflow("export", str(tiny), "out", "--to", "mcap", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     names = session_names(tiny)

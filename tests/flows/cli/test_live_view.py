@@ -16,21 +16,14 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
 from flows.run.live_runner import LiveRunner
-from operators import TAKKTILE, Debounce, Fingertip, Health, ParameterError, Score, Touch, Zero, s
+from operators import TAKKTILE, Debounce, Health, ParameterError, Score, Touch, Zero, s
 from operators.batch import Faults, Scores, Slips, Zeroed
 from storage import load_detector
 from tests.command import Terminal
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.connectors.web.reading import slip
+from tests.flows.run.live import Described
 from tests.waiting import PATIENCE, until
-
-
-class Fingertips(TestSource[Touch]):
-    """TakkTile fingertips."""
-
-    @property
-    def fingertip(self) -> Fingertip:
-        return TAKKTILE
 
 
 def page_of(flow: Flow) -> tuple[Page, list[str]]:
@@ -67,7 +60,7 @@ def test_raw_touch_is_shown_if_none_is_zeroed_and_each_type_once(*, zeroed: bool
 def test_page_and_metrics_show_all_fingertips_of_a_flow_with_a_source_for_each() -> None:
     flow = Flow("hand")
     for finger in range(3):
-        touch = flow.source(Fingertips(Touch, fingers=(finger,)), f"touch{finger}")
+        touch = flow.source(Described(TAKKTILE, (finger,)), f"touch{finger}")
         touch.to(TestSink())
         if finger == 1:
             (touch | Health()).to(TestSink())
@@ -93,9 +86,7 @@ def test_the_token_is_printed_on_terminals_only(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize("program", ["stdout", "stderr"])
-def test_a_browser_is_opened_only_if_no_program_reads_the_output(
-    monkeypatch: pytest.MonkeyPatch, program: str
-) -> None:
+def test_a_browser_opens_only_for_a_person(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
     opened = Queue[str]()
     monkeypatch.setattr("webbrowser.open", opened.put)
     monkeypatch.setenv("DISPLAY", ":0")

@@ -1,6 +1,7 @@
 """The command line in processes of its own: help, version and usage errors."""
 
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -15,7 +16,7 @@ from time import sleep
 import pytest
 
 from flows.cli import __main__, main
-from tests.command import SLIPFLOW, slipflow
+from tests.command import SLIPFLOW, captured, slipflow
 from tests.storage.made import new_run, side_by_side, write
 from tests.waiting import PATIENCE
 
@@ -30,10 +31,8 @@ def test_debug_shows_the_traceback() -> None:
 def test_output_that_cannot_be_written_is_one_line() -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run([*SLIPFLOW, "--version"], stdout=full, stderr=PIPE, text=True, check=False)
-    assert (done.returncode, done.stderr) == (
-        2,
-        "error: standard output: No space left on device; free some space, or use another location\n",
-    )
+    assert done.returncode == 2
+    assert re.fullmatch("error: standard output: No space left on device; free some .*\n", done.stderr)
 
 
 @pytest.mark.parametrize(
@@ -71,9 +70,7 @@ def test_a_closed_pipe_ends_quietly() -> None:
 @pytest.mark.parametrize(
     ("before", "code", "output"), [("default_int_handler", 130, ""), ("SIG_IGN", 0, "slipflow 0.2.0\n")]
 )
-def test_ctrl_c_during_imports_ends_quietly_unless_the_parent_ignores_it(
-    before: str, code: int, output: str
-) -> None:
+def test_ctrl_c_in_imports_is_quiet_unless_the_parent_ignores_it(before: str, code: int, output: str) -> None:
     script = f"""
 import os, signal, sys
 signal.signal(signal.SIGINT, signal.{before})
@@ -85,22 +82,15 @@ sys.meta_path.insert(0, Interrupting())
 from flows.cli.__main__ import main
 main()
 """
-    done = subprocess.run(
-        [sys.executable, "-c", script, "--version"], capture_output=True, text=True, check=False
-    )
+    done = captured(sys.executable, "-c", script, "--version")
     assert (done.returncode, done.stdout, done.stderr) == (code, output, "")
 
 
 @pytest.mark.parametrize("limit", [100, 250, 420])  # MB
 def test_a_lack_of_memory_is_one_line_whatever_library_meets_it(tmp_path: Path, limit: int) -> None:
     write(tmp_path, new_run(), side_by_side(5)).close()
-    done = subprocess.run(
-        [*SLIPFLOW, "verify", str(tmp_path)],
-        preexec_fn=partial(resource.setrlimit, resource.RLIMIT_AS, (limit * 10**6, limit * 10**6)),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    bound = partial(resource.setrlimit, resource.RLIMIT_AS, (limit * 10**6, limit * 10**6))
+    done = captured(*SLIPFLOW, "verify", tmp_path, preexec_fn=bound)
     assert done.returncode in ({2} if limit < 300 else {0, 2}), done.stderr
     if done.returncode:
         [line] = done.stderr.splitlines()
@@ -112,14 +102,9 @@ def test_a_lack_of_memory_is_one_line_whatever_library_meets_it(tmp_path: Path, 
 def test_a_command_in_a_deleted_folder_is_one_line(tmp_path: Path, command: tuple[str, ...]) -> None:
     gone = tmp_path / "gone"
     gone.mkdir()
-    done = subprocess.run(
-        ["sh", "-c", 'rmdir "$PWD" && exec "$@"', "sh", *SLIPFLOW, *command],
-        cwd=gone,
-        env=os.environ | {"PYTHONPATH": str(Path(main.__file__).parents[2])},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    deleting = "sh", "-c", 'rmdir "$PWD" && exec "$@"', "sh"
+    env = os.environ | {"PYTHONPATH": str(Path(main.__file__).parents[2])}
+    done = captured(*deleting, *SLIPFLOW, *command, cwd=gone, env=env)
     expected = "error: the current folder: was deleted or may not be read: change to another\n"
     assert (done.returncode, done.stdout, done.stderr) == (2, "", expected)
 

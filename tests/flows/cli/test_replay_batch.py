@@ -7,7 +7,7 @@ import subprocess
 from pathlib import Path
 from shutil import copytree
 
-from tests.command import SLIPFLOW, slipflow
+from tests.command import SLIPFLOW, captured, slipflow
 from tests.storage.made import contents, session_names
 from tests.waiting import PATIENCE, wait_until
 
@@ -58,7 +58,7 @@ def test_a_dataset_is_compiled_for_once_and_a_common_error_printed_once(tiny: Pa
         flow.write_text(text.replace("Debounce", "Pool") + "\nfrom storage import Dataset\n")
         command = [*SLIPFLOW, "run", str(flow), "--replay", *map(str, two), "--jobs", "2"]
         env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-        errors += [subprocess.run(command, env=env, capture_output=True, text=True, check=False).stderr]
+        errors += [captured(*command, env=env).stderr]
     assert errors[0].count("Pool needs 10 cells") == errors[0].count(f"error: {two[1]}: as for {two[0]}") == 1
     assert errors[1].count("compiling for this machine") == 1
 

@@ -10,7 +10,7 @@ import pytest
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
-from flows.graph.testing import TestSink, TestSource, check_same
+from flows.graph.testing import TestSink, TestSource
 from operators import (
     EVERY,
     Align,
@@ -28,14 +28,19 @@ from operators import (
     Slips,
     Touch,
     Zero,
+    Zeroed,
     concat,
     ms,
     s,
 )
 from operators.batch import Counts, Reals
+from operators.detectors import Psd
 from operators.operator import output_type
 from operators.steps import Record, RowType, Steps
 from tests.operators import test_conformance as suite
+from tests.storage.made import same
+
+FILE = r"test_compiled_flow\.py"
 
 
 def scores(*probabilities: float, start: int = 0, finger: int = EVERY) -> Scores:
@@ -86,19 +91,10 @@ class Returning(Operator[Scores, Scores]):
 @pytest.mark.parametrize(
     ("operator", "message"),
     [
-        (
-            Returning(lambda: (ONE, np.ones(1, np.float32))),
-            "Returning: Scores.probability: is float32, must be an array of float64",
-        ),
-        (
-            Returning(lambda: (np.array([3, 4, 2]), np.ones(3))),
-            "Returning: Scores.time: decreases at row 2, must be",
-        ),
-        (
-            Forgetful(),
-            "flow 'f': Forgetful: ValueError: returned rows of fingertip -1, not 2: pass on finger=",
-        ),
-        (Wrong(), "flow 'f': Wrong: TypeError: returned NoneType, but declares Scores"),
+        (Returning(lambda: (ONE, np.ones(1, np.float32))), "Returning: Scores.probability: is float32, must"),
+        (Returning(lambda: (np.array([3, 4, 2]), np.ones(3))), "Returning: Scores.time: decreases at row 2"),
+        (Forgetful(), "Forgetful: ValueError: returned rows of fingertip -1, not 2: pass on finger="),
+        (Wrong(), "Wrong: TypeError: returned NoneType, but declares Scores"),
     ],
     ids=["dtype", "order", "finger", "type"],
 )
@@ -108,7 +104,7 @@ def test_an_operator_that_breaks_its_contract_is_named(
     flow = Flow("f")
     (flow.source(TestSource(Scores, fingers=(2,))) | operator).to(TestSink())
     compiled = CompiledFlow(flow)
-    with pytest.raises(OperatorError, match=re.escape(message)):
+    with pytest.raises(OperatorError, match=re.escape(f"flow 'f': {message}")):
         compiled.push({compiled.entries[0]: scores(0.1, finger=2)})
 
 
@@ -119,36 +115,22 @@ def test_output_that_begins_before_the_end_of_the_last_batch_is_an_error() -> No
     compiled = CompiledFlow(flow)
     for _ in range(2):
         compiled.push({compiled.entries[0]: scores(0.1)})
-    with pytest.raises(
-        OperatorError, match=r"^flow 'f': Returning: Scores\.time: decreases by 50 ms between"
-    ):
+    with pytest.raises(OperatorError, match=r"^flow 'f': Returning: Scores\.time: decreases by 50 ms betw"):
         compiled.push({compiled.entries[0]: scores(0.1)})
 
 
-class Broken(Operator[Scores, Scores]):
-    def process(self, batch: Scores) -> Scores:
+class Broken(Operator[Zeroed, Scores]):
+    def process(self, batch: Zeroed) -> Scores:
         raise KeyError("limit")
 
 
-class Strict(Operator[Scores, Scores]):
+class Strict(Operator[Zeroed, Scores]):
     def steps(self, *given: RowType) -> Steps:
         return Steps(step=too_high)
 
 
 def too_high(settings: Record, state: Record, row: Record, out: Record) -> bool:
     raise KeyError("limit")
-
-
-@pytest.mark.parametrize("kind", [Broken, Strict])
-def test_a_failing_operator_is_reported_with_the_line_of_its_file(kind: type[Broken | Strict]) -> None:
-    flow, sink = Flow("f"), TestSink()
-    stream = flow.source(TestSource(Scores))
-    (stream | Debounce()).to(sink)
-    (stream | kind()).to(sink)
-    compiled = CompiledFlow(flow)
-    reason = rf"^flow 'f': {kind.__name__}: KeyError: '?limit'? \(test_compiled_flow\.py:\d+\)$"
-    with pytest.raises(OperatorError, match=reason):
-        compiled.pusher(compiled.entries[0])(scores(0.1))
 
 
 class Unknowing:
@@ -163,14 +145,16 @@ class UnknowingSteps(Unknowing):
         return Steps(step=too_high)
 
 
-@pytest.mark.parametrize("kind", [Unknowing, UnknowingSteps])
-def test_a_failing_detector_is_reported_with_the_line_of_its_file(kind: type[Unknowing]) -> None:
+@pytest.mark.parametrize(
+    "operator", [Broken(), Strict(), Score(Unknowing()), Score(UnknowingSteps())], ids=repr
+)
+def test_a_failing_operator_or_detector_is_named_with_its_line(operator: Operator[Zeroed, Scores]) -> None:
     flow = Flow("f")
-    (flow.source(TestSource(Touch)) | Zero(baseline=400) | Score(kind())).to(TestSink())
-    compiled = CompiledFlow(flow)
-    with pytest.raises(
-        OperatorError, match=r"^flow 'f': Score: KeyError: '?limit'? \(test_compiled_flow\.py:\d+\)$"
-    ):
+    zeroed = flow.source(TestSource(Touch)) | Zero(baseline=400)
+    (zeroed | Score(Psd())).to(TestSink())
+    (zeroed | operator).to(TestSink())
+    compiled, name = CompiledFlow(flow), type(operator).__name__
+    with pytest.raises(OperatorError, match=rf"^flow 'f': {name}: KeyError: '?limit'? \({FILE}:\d+\)$"):
         compiled.pusher(compiled.entries[0])(touch(0))
 
 
@@ -187,13 +171,11 @@ class Unlimited(Operator[Scores, Scores]):
 @pytest.mark.parametrize(
     ("kind", "reason"),
     [
-        (Unready, r"OSError: no weights \(test_compiled_flow\.py:\d+\)$"),
+        (Unready, rf"OSError: no weights \({FILE}:\d+\)$"),
         (Unlimited, "Steps: limit is None, must be a number"),
     ],
 )
-def test_an_operator_that_cannot_be_prepared_is_named(
-    kind: type[Operator[Scores, Scores]], reason: str
-) -> None:
+def test_an_operator_that_cannot_start_is_named(kind: type[Operator[Scores, Scores]], reason: str) -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | kind() | Debounce()).to(TestSink())
     with pytest.raises(OperatorError, match=rf"^flow 'f': {kind.__name__}: {reason}"):
@@ -229,9 +211,6 @@ def test_an_empty_batch_needs_not_the_number_of_cells_of_the_fingertip() -> None
     (flow.source(TestSource(Touch)) | Pool(gain=0.25)).to(TestSink())
     compiled = CompiledFlow(flow)
     assert compiled.push({compiled.entries[0]: Touch.zeros(0, cells=9)}) == []
-
-
-# --- fused operators between those of users --------------------------------------------------------------
 
 
 @dataclass
@@ -289,9 +268,7 @@ def outputs(compiled: CompiledFlow, pushes: Iterable[dict[int, Batch]]) -> dict[
 
 @suite.every
 @pytest.mark.parametrize("cuts", [[], range(400)], ids=["at once", "one by one"])
-def test_an_operator_between_those_of_users_gives_the_same_bits_as_alone(
-    case: suite.Case, cuts: Iterable[int]
-) -> None:
+def test_an_operator_among_those_of_users_gives_equal_bits(case: suite.Case, cuts: Iterable[int]) -> None:
     streams = case.streams(5, 200)
     flow = Flow("f")
     first, *others = (
@@ -303,7 +280,7 @@ def test_an_operator_between_those_of_users_gives_the_same_bits_as_alone(
     pushes = [dict(enumerate(piece)) for piece in suite.pieces(streams, cuts)]
     found = outputs(CompiledFlow(flow), pushes)
     expected = suite.run(case.step.reset_copy(), [streams])
-    check_same(suite.joined(kind, found[streams[0].finger]), expected)
+    same(suite.joined(kind, found[streams[0].finger]), expected)
 
 
 @pytest.mark.parametrize("rows", [1, 7, 300], ids=["one by one", "cut", "at once"])
@@ -323,5 +300,5 @@ def test_motion_that_passes_a_segment_of_its_own_joins_the_touch_of_each_fingert
     for each in touches:
         samples = Align().push(Zero(baseline=400).push(each), DeviceClock().push(arm))
         joined = concat(Sample, cast("list[Sample]", found[each.finger]))
-        check_same(joined[: len(samples)], samples)
+        same(joined[: len(samples)], samples)
         assert len(joined) == 300

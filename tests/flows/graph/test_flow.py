@@ -9,9 +9,7 @@ from operators import Align, Debounce, FlowError, Motion, Scores, Touch, Zero
 
 
 @pytest.mark.parametrize(("fingers", "joined"), [((0, 2), (0, 2)), ((-1,), (-1,))])
-def test_a_stream_of_all_fingertips_joins_each_of_them(
-    fingers: tuple[int, ...], joined: tuple[int, ...]
-) -> None:
+def test_a_stream_of_all_fingertips_joins_each_one(fingers: tuple[int, ...], joined: tuple[int, ...]) -> None:
     flow = Flow("f")
     touch = flow.source(TestSource(Touch, fingers=fingers)) | Zero()
     motion = flow.source(TestSource(Motion))
@@ -63,28 +61,16 @@ class Rig:
     ("use", "part", "message"),
     [
         ("operator", Zero, "touch -> Zero: Zero is a class: write Zero()"),
-        (
-            "operator",
-            Half(),
-            "touch -> Half: Half is not of type Operator: derive its class from Operator[In, ",
-        ),
+        ("operator", Half(), "touch -> Half: Half is not of type Operator: derive its class from Op"),
         ("operator", TestSink(), "touch -> TestSink: TestSink is of type Sink: write stream.to(TestSink())"),
         ("operator", Align(), "touch -> Align: Align is of type Join: write left & right | Align()"),
         ("join", Zero(), "touch & touch -> Zero: Zero is of type Operator: write stream | Zero()"),
         ("sink", TestSink, "touch -> TestSink: TestSink is a class: write TestSink()"),
         ("source", abs, "abs: abs is not of type Source: derive its class from Source[Out]"),
-        (
-            "source",
-            Rig(),
-            "Rig: Rig is not of type Source, but has touch, motion: write flow.source(rig.touch)",
-        ),
+        ("source", Rig(), "Rig: Rig is not of type Source, but has touch, motion: write flow.source(rig.t"),
     ],
 )
-def test_a_part_of_the_wrong_kind_is_an_error_that_says_what_to_write(
-    use: str,
-    part: Any,
-    message: str,
-) -> None:
+def test_a_part_of_a_wrong_kind_is_an_error_with_what_to_write(use: str, part: Any, message: str) -> None:
     flow = Flow("f")
     touch = flow.source(TestSource(Touch))
     uses: dict[str, Callable[[], object]] = {

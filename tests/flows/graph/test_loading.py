@@ -54,12 +54,12 @@ def test_a_finished_flow_is_found_by_its_name(tmp_path: Path) -> None:
         ("\n1 / 0\n", r"mine\.py:2: ZeroDivisionError: division by zero"),
         ("import no_such_module\n", r"mine\.py:1: ModuleNotFoundError"),
         (
-            "from operators import Debounce\nDebounce().to(None)\n",
-            r"mine\.py:2: .*no attribute 'to': write \(stream \| Debounce\(\)\)\.to\(\.\.\.\)$",
+            "\nfrom operators import Zero; Zero().to(None)",
+            r"mine\.py:2: .* 'to': write \(stream \| Zero\(\)\)\.to\(",
         ),
         ("x = 1\n", "has no flow"),
         (
-            "from flows.graph import Flow\ndef f(x: int) -> Flow: return Flow('f')\n",
+            "from flows.graph import Flow\ndef f(x: int) -> Flow: ...",
             "flow 'f': parameter 'x' needs a default",
         ),
     ],
@@ -71,10 +71,7 @@ def test_an_error_in_a_file_is_one_line_with_its_location(tmp_path: Path, code: 
 
 
 def test_a_missing_file_and_a_missing_flow_are_reported(tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError,
-        match=r"nowhere: is neither a flow file nor a shipped flow \(demo, lift",
-    ):
+    with pytest.raises(InputError, match=r"nowhere: is neither a flow file nor a shipped flow \(demo, lift"):
         load("nowhere")
     with pytest.raises(InputError, match=r"nowhere\.py: there is no such file"):
         load("nowhere.py")
@@ -92,9 +89,7 @@ def test_a_missing_file_and_a_missing_flow_are_reported(tmp_path: Path) -> None:
         ("return undefined", "mine.py:3: NameError: name 'undefined' is not defined"),
     ],
 )
-def test_a_function_that_fails_or_returns_no_flow_is_an_error(
-    tmp_path: Path, body: str, message: str
-) -> None:
+def test_a_function_that_fails_or_gives_no_flow_is_an_error(tmp_path: Path, body: str, message: str) -> None:
     code = f"from flows.graph import Flow\ndef f() -> Flow:\n    {body}\n"
     with pytest.raises(InputError, match=f"{re.escape(message)}$"):
         load(_file(tmp_path, code)).flow()
@@ -115,9 +110,7 @@ def test_a_helper_may_have_annotations_that_only_type_checkers_resolve(tmp_path:
     assert load(_file(tmp_path, code)).name == "f"
 
 
-def test_flow_files_of_the_same_name_are_different_modules(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_flow_files_of_one_name_are_several_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", list(sys.path))
     folders = tmp_path / "a", tmp_path / "b"
     for folder in folders:

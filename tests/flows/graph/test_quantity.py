@@ -13,9 +13,7 @@ from operators.errors import ParameterError
     st.decimals(0, 10**6, places=3).map(lambda number: f"{number:f}".rstrip("0")),
     st.sampled_from(["", " ", "  "]),
 )
-def test_a_quantity_is_reckoned_exactly_in_its_base_unit(
-    units: tuple[str, str], number: str, gap: str
-) -> None:
+def test_a_quantity_is_exact_in_its_base_unit(units: tuple[str, str], number: str, gap: str) -> None:
     unit, name = units
     exact = Fraction(number) * Fraction(KINDS[unit].units[name])
     found = parse_quantity("x", "y", f" {number}{gap}{name} ", unit)

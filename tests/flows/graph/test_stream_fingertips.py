@@ -7,7 +7,7 @@ import pytest
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
-from flows.graph.testing import TestSink, TestSource
+from flows.graph.testing import TestSink
 from flows.graph.validation import problems
 from operators import Health, Pool, Score, Touch, Zero, Zeroed, ms, s
 from operators.batch import Faults
@@ -16,23 +16,12 @@ from operators.errors import FingertipError, FlowError
 from operators.fingertip import TAKKTILE, Fingertip, grid
 from storage import load_detector
 from storage.models import shipped_path
-
-
-class Fast(TestSource[Touch]):
-    """Touch of a given fingertip."""
-
-    def __init__(self, fingertip: Fingertip) -> None:
-        super().__init__(Touch)
-        self._fingertip = fingertip
-
-    @property
-    def fingertip(self) -> Fingertip:
-        return self._fingertip
+from tests.flows.run.live import Described
 
 
 def flow(fingertip: Fingertip, score: Score) -> Flow:
     made = Flow("live")
-    (made.source(Fast(fingertip)) | Zero() | score).to(TestSink())
+    (made.source(Described(fingertip)) | Zero() | score).to(TestSink())
     return made
 
 
@@ -72,7 +61,7 @@ def test_cells_at_the_end_of_their_fingertips_range_are_saturated(
     ends: tuple[int, int] | None, found: list[int]
 ) -> None:
     made, sink = Flow("watch"), TestSink()
-    (made.source(Fast(replace(TAKKTILE, range=ends))) | Pool() | Health(stuck_after=9 * s)).to(sink)
+    (made.source(Described(replace(TAKKTILE, range=ends))) | Pool() | Health(stuck_after=9 * s)).to(sink)
     time, cells = np.arange(0, s, 10 * ms), np.full((100, 6), 500, np.int16)
     cells[10:, :2] = 40, 1020
     touch = Touch(time, cells, cells, np.ones_like(cells, np.bool_))
@@ -87,7 +76,7 @@ def test_cells_at_the_end_of_their_fingertips_range_are_saturated(
 
 def test_a_sink_learns_the_fingertips_of_its_streams() -> None:
     made, sink = Flow("record"), TestSink("data")
-    touch = made.source(Fast(TAKKTILE))
+    touch = made.source(Described(TAKKTILE))
     touch.to(sink)
     (touch | Zero()).to(sink)
     assert CompiledFlow(made).fingertips == {"data": {Touch: TAKKTILE, Zeroed: TAKKTILE}}

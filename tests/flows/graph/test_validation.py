@@ -7,18 +7,7 @@ from flows.graph import Flow, Stream
 from flows.graph.node import check_extras
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems, validate
-from operators import (
-    EVERY,
-    Debounce,
-    FlowError,
-    Join,
-    Operator,
-    ParameterError,
-    Scores,
-    Slips,
-    Touch,
-    Zero,
-)
+from operators import EVERY, Debounce, FlowError, Join, Operator, ParameterError, Scores, Slips, Touch, Zero
 
 
 def _one_problem(flow: Flow) -> str:
@@ -99,10 +88,7 @@ class Stateless(Loud):
     [
         (Sharing(), "Sharing: seen would be shared by all runs"),
         (Losing(2.0), "Losing: gain would be lost: make it a field of a @dataclass"),
-        (
-            Stateless(),
-            "Stateless: its __init__ lacks super().__init__(): use a @dataclass, which needs neither",
-        ),
+        (Stateless(), "Stateless: its __init__ lacks super().__init__(): use a @dataclass"),
     ],
     ids=["shared", "lost", "no base"],
 )
@@ -162,21 +148,13 @@ class Wrong:
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [
-        (
-            "write",
-            Wrong.any_type,
-            "lacks a batch type: annotate it, as in async def write(self, batch: Slips) ->",
-        ),
+        ("write", Wrong.any_type, "lacks a batch type: annotate it, as in async def write(self, batch: "),
         ("write", Wrong.no_type, "lacks a batch type: annotate it"),
         ("write", Wrong.at_once, "write must be declared with async def"),
         ("open", lambda self, run: None, "open must be declared with async def"),
         ("close", lambda self: None, "close must be declared with async def"),
         ("take", Wrong.later, "take must be declared with def"),
-        (
-            "destination",
-            lambda self: "here",
-            "destination must be a text: make it an attribute or a @property",
-        ),
+        ("destination", lambda self: "here", "destination must be a text: make it an attribute or a "),
     ],
     ids=["any type", "no type", "write", "open", "close", "take", "destination"],
 )
@@ -213,19 +191,16 @@ class Compare(Join[Touch, Touch, Touch]):
 
 
 @pytest.mark.parametrize(("right", "fits"), [((1,), False), ((0, 1), True), ((EVERY,), True), ((), True)])
-def test_joined_streams_without_a_common_fingertip_are_reported(
-    right: tuple[int, ...], *, fits: bool
-) -> None:
+def test_joined_streams_without_common_fingertips_are_named(right: tuple[int, ...], *, fits: bool) -> None:
     flow = Flow("f")
     one = flow.source(TestSource(Touch, fingers=(0,)), "one")
     other = flow.source(TestSource(Touch, fingers=right), "other")
     (one & other | Compare()).to(TestSink())
     assert problems(flow, fingertips=False) == []
-    found = [] if fits else [_one_problem(flow)]
-    reason = (
-        "fingertips [0] never meet [1]: join streams of the same fingertip, or set fingers of the sources"
-    )
-    assert found == ([] if fits else [f"one & other -> Compare: {reason}"])
+    if fits:
+        assert problems(flow) == []
+    else:
+        assert "one & other -> Compare: fingertips [0] never meet [1]: join " in _one_problem(flow)
 
 
 @pytest.mark.parametrize(("name", "records", "fits"), [("my flow", True, False), ("my flow", False, True)])

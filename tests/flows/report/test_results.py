@@ -2,16 +2,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from flows.report.results import (
-    Metrics,
-    area,
-    estimate_table,
-    estimates,
-    joined,
-    median,
-    result_rows,
-    share,
-)
+from flows.report.results import Metrics, area, estimate_table, estimates, joined, median, result_rows, share
 
 STATISTICS = {
     "missed %": share("missed slips", "slips", 100),

@@ -5,10 +5,10 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequenc
 from typing import Any
 
 from flows.graph import Flow
-from flows.graph.testing import TestSink, VirtualLoop, run_virtually
+from flows.graph.testing import TestSink, TestSource, VirtualLoop, run_virtually
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import Batch, Clock, Run, Scores, Sink, Source, ms, s
+from operators import EVERY, Batch, Clock, Fingertip, Run, Scores, Sink, Source, Touch, ms, s
 
 
 def scores(first: int, count: int, probability: float = 0.9) -> list[Scores]:
@@ -81,6 +81,18 @@ class FaultySink(TestSink):
         if self._failures and (failure := self._failures.pop(0)):
             raise failure
         return super().take(batch)
+
+
+class Described(TestSource[Touch]):
+    """Source of touch of a described fingertip."""
+
+    def __init__(self, fingertip: Fingertip, fingers: tuple[int, ...] = (EVERY,)) -> None:
+        super().__init__(Touch, fingers=fingers)
+        self._fingertip = fingertip
+
+    @property
+    def fingertip(self) -> Fingertip:
+        return self._fingertip
 
 
 class Endless(Source[Scores]):

@@ -69,9 +69,7 @@ def test_missing_packages_are_noted_with_their_remedy(hide_packages: Callable[..
 
 
 @pytest.mark.parametrize(("result", "state"), [(0, "good"), (5, "bad"), (-1, "note")])
-def test_a_clock_that_is_not_synchronised_is_bad(
-    result: int, state: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unsynchronised_clock_is_bad(result: int, state: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def adjtimex(_: object) -> int:
         return result
 

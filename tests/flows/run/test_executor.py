@@ -50,9 +50,7 @@ def test_one_job_or_one_item_runs_in_this_process() -> None:
         assert [each[0] for each in map_tasks(work, ["where"], executor)] == [os.getpid()]
 
 
-def test_a_worker_computes_in_one_thread_and_leaves_signals_to_the_parent(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_worker_has_one_thread_and_leaves_signals_to_the_parent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     with workers(2) as executor:
         [[process, threads, masked], _] = map_tasks(work, ["where", "where"], executor)
@@ -102,30 +100,23 @@ def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch: pytest.Monkey
         pass
 
 
-def test_torch_has_one_thread_inside_and_its_former_number_after() -> None:
-    torch = pytest.importorskip("torch")
+def test_libraries_have_one_thread_inside_and_torch_its_former_number_after() -> None:
+    torch, pools = pytest.importorskip("torch"), pytest.importorskip("threadpoolctl")
+    pytest.importorskip("sklearn")
     had = torch.get_num_threads()
     torch.set_num_threads(2)
     try:
         with one_thread():
             assert torch.get_num_threads() == 1
+            inside = pools.threadpool_info()
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(had)
-
-
-def test_the_libraries_of_numpy_and_scikit_learn_have_one_thread_inside() -> None:
-    pytest.importorskip("sklearn")
-    pools = pytest.importorskip("threadpoolctl")
-    with one_thread():
-        inside = pools.threadpool_info()
     assert {pool["num_threads"] for pool in inside} == {1}
     assert {"blas", "openmp"} <= {pool["user_api"] for pool in inside}
 
 
-def test_a_task_that_never_ends_after_the_scheduler_was_lost_is_an_error(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_task_that_never_ends_after_a_scheduler_was_lost_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     class LostCluster:
         status = "closed"
 

@@ -63,9 +63,7 @@ def test_a_run_ends_after_its_duration_without_the_preparation_of_its_sources() 
 
 
 @pytest.mark.parametrize(("recording", "error"), [("stroke-9", "was interrupted"), (None, "")])
-def test_a_stop_flushes_and_commits_and_a_stopped_replay_is_incomplete(
-    recording: str | None, error: str
-) -> None:
+def test_a_stop_flushes_and_commits_and_leaves_a_replay_incomplete(recording: str | None, error: str) -> None:
     flow, sink, source = Flow("f"), TestSink(), Endless()
     source.recorded = recording
     (flow.source(source) | Debounce(consecutive=2)).to(sink)

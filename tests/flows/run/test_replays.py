@@ -22,11 +22,12 @@ from flows.run.replays import replay as replay_task
 from operators import Debounce, Score, Touch, Zero
 from operators.detectors import Psd
 from operators.errors import FlowError, InputError
-from operators.fingertip import TAKKTILE, Fingertip
+from operators.fingertip import TAKKTILE
 from storage import Session, save_weights
 from storage.files import put_checked, read_checked
 from storage.layout import SESSION, session_folder
 from storage.models import shipped_path
+from tests.flows.run.live import Described
 from tests.flows.run.recorder import record
 from tests.storage.made import contents, session_names
 
@@ -190,9 +191,7 @@ def test_recordings_of_one_name_need_two_datasets(felt: str, four: list[Path], t
         Replays(source(felt, out=str(tmp_path / "out")), [four[0], other])
 
 
-def test_an_error_of_a_sink_ends_its_own_replay_only_and_leaves_no_session(
-    felt: str, four: list[Path], tmp_path: Path
-) -> None:
+def test_a_failed_sink_ends_its_replay_without_session(felt: str, four: list[Path], tmp_path: Path) -> None:
     found = replay(felt, four[:2], tmp_path / "out", spoilt="true")
     assert [each.error for each in found] == ["ValueError: no number"] * 2
     assert session_names(tmp_path / "out") == []
@@ -209,9 +208,7 @@ def test_a_sink_that_is_not_shared_needs_one_process(felt: str, four: list[Path]
         list(replays.run(executor))
 
 
-def test_a_flow_with_a_sink_for_live_runs_cannot_be_replayed(
-    felt: str, four: list[Path], tmp_path: Path
-) -> None:
+def test_a_flow_with_a_sink_for_live_runs_is_refused(felt: str, four: list[Path], tmp_path: Path) -> None:
     publishing, recording = source(felt, out=str(tmp_path), broker="mqtt://localhost"), Session.open(four[0])
     ways: list[Callable[[], object]] = [
         lambda: Replays(publishing, four),
@@ -244,13 +241,8 @@ def test_a_file_is_opened_by_its_content_under_any_name(name: str, tmp_path: Pat
 
 
 def test_a_replay_needs_a_detector_for_its_recording_not_for_the_live_source(four: list[Path]) -> None:
-    class Faster(TestSource[Touch]):
-        @property
-        def fingertip(self) -> Fingertip:
-            return replace(TAKKTILE, rate=200.0)
-
     flow = Flow("faster")
-    (flow.source(Faster(Touch, fingers=(0,))) | Zero() | Score(Psd())).to(TestSink())
+    (flow.source(Described(replace(TAKKTILE, rate=200.0), (0,))) | Zero() | Score(Psd())).to(TestSink())
     check_outputs(flow, four[:1])
     assert ReplayRunner(flow, Session.open(four[0]), "again").compiled.entries
     with pytest.raises(FlowError, match="psd needs 100 Hz; the data has 200 Hz"):

@@ -145,9 +145,7 @@ def test_a_closed_output_ends_the_run_orderly_and_quietly(caplog: pytest.LogCapt
     assert not caplog.records
 
 
-def test_a_stuck_lossless_sink_blocks_no_other_and_works_again_once_its_write_ends(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_stuck_lossless_sink_blocks_no_other_and_works_again(caplog: pytest.LogCaptureFixture) -> None:
     waits, other = [60.0], TestSink()
     stuck = FaultySink(capacity=10, before_write=lambda: asyncio.sleep(waits.pop() if waits else 0))
     with caplog.at_level(logging.INFO, "slipflow"):

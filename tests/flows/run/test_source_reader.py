@@ -13,15 +13,7 @@ from flows.graph.testing import TestSink, TestSource
 from flows.run.failures import reason_of
 from flows.run.live_runner import LiveRunner
 from flows.run.run_summary import Summary
-from operators import (
-    Clock,
-    ParameterError,
-    Scores,
-    SlipflowError,
-    Slips,
-    ms,
-    s,
-)
+from operators import Clock, ParameterError, Scores, SlipflowError, Slips, ms, s
 from operators.ports import Description
 from tests.flows.run.live import Endless, FaultySink, execute, flow_of, scores, times
 
@@ -72,9 +64,7 @@ OTHER_TYPE: Any = Slips.empty()
     ],
     ids=["shape", "order", "type", "parameter", "mistake"],
 )
-def test_a_source_that_breaks_its_contract_ends_the_run_at_once(
-    wrong: Scores | Exception, message: str
-) -> None:
+def test_a_source_that_breaks_its_contract_ends_the_run(wrong: Scores | Exception, message: str) -> None:
     sink = TestSink()
     with pytest.raises(SlipflowError, match=message):
         execute(flow_of(TestSource(Scores, [*scores(0, 3), wrong, *scores(4, 1)]), sink))
@@ -138,9 +128,7 @@ def test_a_row_of_the_future_is_dropped_unless_the_next_one_is_too(
     assert sum("a row of" in text and "in the future" in text for text in caplog.messages) == late
 
 
-def test_a_source_with_late_rows_only_is_stale_until_its_rows_are_in_time(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_source_with_late_rows_only_is_stale_until_others_come(caplog: pytest.LogCaptureFixture) -> None:
     seen = list[tuple[bool, bool, str]]()
 
     def look(runner: LiveRunner, _: object) -> None:
@@ -159,9 +147,7 @@ def test_a_source_with_late_rows_only_is_stale_until_its_rows_are_in_time(
     assert caplog.messages[1:] == [f"scores {reason}: its clock was set back, or a row was of the future"]
 
 
-def test_a_source_whose_first_row_is_wrong_is_not_called_silent(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_source_whose_first_row_is_wrong_is_not_called_silent(caplog: pytest.LogCaptureFixture) -> None:
     wrong = Scores(np.array([0]), np.array([0.9]), finger=3)
     with pytest.raises(SlipflowError, match=r"source 'scores' yielded fingertip 3, but declares \(-1,\)"):
         execute(flow_of(TestSource(Scores, [wrong]), TestSink()))

@@ -18,9 +18,7 @@ from tests.flows.run.live import Endless, execute, flow_of, scores
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-async def test_each_signal_calls_stop_within_the_block_and_is_handled_as_before_after_it(
-    number: signal.Signals,
-) -> None:
+async def test_each_signal_calls_stop_in_the_block_and_is_handled_as_before(number: signal.Signals) -> None:
     before, called = signal.getsignal(number), asyncio.Semaphore(0)
     with signals_to(called.release):
         for _ in range(2):

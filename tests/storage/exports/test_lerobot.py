@@ -178,9 +178,7 @@ def test_the_rate_is_that_of_the_samples_and_a_higher_one_is_refused(tmp_path: P
     export(sessions[:1], tmp_path / "fewer", rate=20)
     fewer, samples = Read.open(tmp_path / "fewer"), new_samples(np.arange(28) * 10 * ms)
     assert fewer.values(0, "observation.state").tolist() == samples.counts[::5].tolist()
-    with pytest.raises(
-        InputError, match="slow: has 50 samples per second, too few for frames at 100 Hz; give a lower rate"
-    ):
+    with pytest.raises(InputError, match=r"slow: has 50 samples per second, .*; give a lower rate"):
         export(sessions, tmp_path / "other", rate=100)
     single = record(tmp_path, [new_samples([0])])
     with pytest.raises(InputError, match="one: has samples of one time only: give a rate"):
@@ -193,9 +191,7 @@ def test_a_failed_export_leaves_no_files(tmp_path: Path) -> None:
     one = record(tmp_path / "data", [new_samples(time)], "a")
     other = record(tmp_path / "data", [new_samples(time, finger=1)], "b")
     out = tmp_path / "out"
-    with pytest.raises(
-        InputError, match=r"has fingertips \(1,\) of 6 cells, but a has .*: export them separately"
-    ):
+    with pytest.raises(InputError, match=r"has fingertips \(1,\) .*, but a has .*: export them separately"):
         export([one, other], out)
     damaged = record(tmp_path / "data", [new_samples(time)], "c")
     part = next(damaged.folder.glob("samples/*.parquet"))
