@@ -147,25 +147,23 @@ class Link:
             self.abort()
             raise EndpointError(self._url, f"cannot connect: {_reason(error)}{self._hint(error)}") from None
 
-    async def send_all(self, messages: Sequence[Message]) -> list[str]:
+    async def send_all(self, messages: Sequence[Message]) -> None:
         """Publish messages with QoS 1 in order, then wait for all acknowledgements.
 
-        Returns the reason for the refusal of each message; empty if the broker accepted it. If the connection
-        is lost, the broker may have received any of them.
+        Raises:
+            EndpointError: if the connection is lost or the broker refuses one; it may have the others.
         """
         answers = [self.publish(message) for message in messages]
         unanswered = (await asyncio.wait(answers, timeout=TIMEOUT))[1] if answers else ()
         if unanswered:
             self._lose(_reason(TimeoutError()))
-        refusals = list[str]()
         for message, answer in zip(messages, answers, strict=True):
             code = answer.result()
             if code is None:
                 self.abort()
                 raise self._loss()
-            refused = f"refuses to publish {message.topic}: {_refusal(code)}"
-            refusals.append(refused if code.is_failure else "")
-        return refusals
+            if code.is_failure:
+                raise EndpointError(self._url, f"refuses to publish {message.topic}: {_refusal(code)}")
 
     async def listen(self, *topics: str) -> None:
         """Subscribe to topic filters with QoS 1; `receive` returns their messages.
@@ -326,9 +324,7 @@ async def diagnose_broker(broker: Broker, topic: str, clock: Clock) -> AsyncGene
         if broker.scheme == "mqtts":
             yield Finding(str(broker), "TLS with a trusted certificate")
         start = clock.now()
-        [refusal] = await link.send_all([Message(topic, b"{}", retain=False)])
-        if refusal:
-            raise EndpointError(str(broker), refusal)
+        await link.send_all([Message(topic, b"{}", retain=False)])
         yield Finding(str(broker), f"accepts {topic} within {(clock.now() - start) / ms:.1f} ms")
     finally:
         await link.disconnect()

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 log = logging.getLogger("slipflow")
 
 CHECK_EVERY = 3.0  # s, between checks of all rigs for missed events
-REQUESTS_MAX = 100  # requests per check
 MALFORMED_MAX = 20  # malformed messages that are reported per connection
 
 
@@ -124,7 +123,8 @@ class Consumer(AsyncIterator[Event]):
             if asyncio.get_running_loop().time() >= self._check_due:
                 self._check_due = asyncio.get_running_loop().time() + CHECK_EVERY
                 self._save_position()
-                self._check(link)
+                for rig in self._position.rigs:
+                    self._request_missed(link, rig)
             try:
                 async with asyncio.timeout_at(self._check_due):
                     topic, payload = await link.receive()
@@ -149,14 +149,6 @@ class Consumer(AsyncIterator[Event]):
                 return self._event
             self._request_missed(link, rig)
 
-    def _check(self, link: "Link") -> None:
-        """Request missed events of up to 100 rigs; the next check asks others, as these may still answer."""
-        requests = 0
-        for rig in reversed(self._position.rigs):
-            requests += self._request_missed(link, rig)
-            if requests == REQUESTS_MAX:
-                break
-
     def _process(self, topic: str, payload: bytes) -> tuple[RigId, Event | None]:
         """Process a message; return its rig, and its event if the event is new."""
         _, _, site, name, *rest = topic.split("/")
@@ -166,10 +158,10 @@ class Consumer(AsyncIterator[Event]):
             raise InputError(f"{topic!a:.200}", reason)
         reply = ["replay", self._reply_name]
         if rest == ["head"]:
-            self._change(self._position.announce(rig, read_heads(payload, topic)))
+            self._position.announce(rig, read_heads(payload, topic))
+            self._changed = True
         elif rest == reply and decode(payload, _Reply, topic).specversion is None:
-            now = asyncio.get_running_loop().time()
-            self._change(self._position.settle(rig, decode(payload, GapAnswer, topic), now))
+            self._change(self._position.settle(rig, decode(payload, GapAnswer, topic)))
         else:
             event = Event.decode(payload, topic)
             if (event.site, event.rig) != rig or rest not in ([event.finger, "event"], reply):
@@ -192,15 +184,13 @@ class Consumer(AsyncIterator[Event]):
         for text in lost:
             self._report(text)
 
-    def _request_missed(self, link: "Link", rig: RigId) -> bool:
+    def _request_missed(self, link: "Link", rig: RigId) -> None:
         """Request missed events of a rig if there are any, unless it may still answer the latest request."""
         gap = self._position.request(rig, asyncio.get_running_loop().time())
-        if gap is None:
-            return False
-        topic = rig_topic("Consumer", *rig)
-        payload = GapRequest(*gap, f"{topic}/replay/{self._reply_name}").encode()
-        link.publish(Message(f"{topic}/replay/request", payload, retain=False))
-        return True
+        if gap:
+            topic = rig_topic("Consumer", *rig)
+            payload = GapRequest(*gap, f"{topic}/replay/{self._reply_name}").encode()
+            link.publish(Message(f"{topic}/replay/request", payload, retain=False))
 
     async def _reconnect(self) -> "Link":
         failures = 0

@@ -149,19 +149,21 @@ class SimulatedLink:
         if not self._lost:
             self._publish(message)
 
-    async def send_all(self, messages: Sequence[Message]) -> list[str]:
+    async def send_all(self, messages: Sequence[Message]) -> None:
         current()
         if self._lost:
             raise EndpointError(self._url, f"connection lost ({self._lost})")
         answers = [self._publish(message) for message in messages]
         try:
             async with asyncio.timeout(TIMEOUT):
-                return list(await asyncio.gather(*answers))
+                refusals = await asyncio.gather(*answers)
         except TimeoutError:
             self.cut("timed out")
             raise EndpointError(self._url, "connection lost (no response)") from None
         except ConnectionError:
             raise EndpointError(self._url, f"connection lost ({self._lost})") from None
+        if refusal := next(filter(None, refusals), ""):
+            raise EndpointError(self._url, refusal)
 
     async def listen(self, *topics: str) -> None:
         current()
