@@ -132,11 +132,11 @@ class Sender:
         self._wake.clear()
         while received := link.next_received():
             self._replies.request(received[1])
-        documents, self._changed = [*self._changed.values()], {}
         entries = await self._outbox.next(WINDOW)
         replies = await self._replies.next(asyncio.get_running_loop().time())
-        outgoing = [*documents, *map(self._event, entries), *replies]
+        outgoing = [*self._changed.values(), *map(self._event, entries), *replies]
         await link.send_all(outgoing)
+        self._changed.clear()
         if entries:
             self._outbox.acknowledge(entries)
             for message in self._documents(entries):

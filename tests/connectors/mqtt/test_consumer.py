@@ -1,7 +1,6 @@
 import asyncio
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -9,7 +8,6 @@ from msgspec.structs import replace
 
 from connectors import Consumer, Event, Mqtt
 from connectors.mqtt import broker_link as link
-from connectors.mqtt.broker import Message
 from connectors.mqtt.broker_link import Link
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Run
@@ -124,18 +122,6 @@ async def test_one_consumer_at_a_time_can_use_a_position_file(
         with pytest.raises(EndpointError, match=rf"^{broker.url}: {REFUSED}$"):
             async with Consumer(broker.url, position_file=tmp_path / "position"):
                 pass
-
-
-async def test_a_check_asks_at_most_100_rigs_and_the_next_one_asks_others() -> None:
-    events, posted = Consumer("mqtt://localhost", since="start"), list[Message]()
-    for number in range(300):
-        inside(events, "_position").announce(("lab", f"forged{number}"), {"ab": 9})
-        if number == 100:
-            inside(events, "_position").take(event(3))
-    for checks in range(1, 5):
-        vars(Consumer)["_check"](events, SimpleNamespace(publish=posted.append))
-        assert len({message.topic for message in posted}) == len(posted) == min(100 * checks, 301)
-    assert f"{UR10}/replay/request" in {message.topic for message in posted}
 
 
 @pytest.mark.parametrize(
