@@ -3,7 +3,7 @@
 import logging
 import re
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dis import get_instructions
 from functools import cache
 from types import CodeType, FunctionType
@@ -129,20 +129,9 @@ def _linked(
 
 @cache
 def _contents(code: CodeType) -> tuple[str, list[str]]:
-    """Return what a function with its comprehensions does, as text, and the globals it reads."""
-    codes = list(_codes(code))
-    plain = [[each for each in part.co_consts if not isinstance(each, CodeType)] for part in codes]
-    text = repr([(part.co_code, part.co_names, kept) for part, kept in zip(codes, plain, strict=True)])
-    loads = (each for part in codes for each in get_instructions(part) if each.opname == "LOAD_GLOBAL")
-    return text, sorted({each.argval for each in loads})
-
-
-def _codes(code: CodeType) -> Iterator[CodeType]:
-    """Return the code of a function, and of comprehensions in it."""
-    yield code
-    for each in code.co_consts:
-        if isinstance(each, CodeType):
-            yield from _codes(each)
+    """Return what a function does, as text, and the globals it reads."""
+    loaded = {each.argval for each in get_instructions(code) if each.opname == "LOAD_GLOBAL"}
+    return repr((code.co_code, code.co_names, code.co_consts)), sorted(loaded)
 
 
 @intrinsic

@@ -161,10 +161,7 @@ class Operator(AnyOperator, Generic[In, Out]):
 
         Late rows are dropped and counted in `late`.
         """
-        if fuses(type(self)):
-            return cast("Out", self._push_rows(batch))
-        kept = self._late_filters[0].filter(batch)
-        return self.process(kept) if kept.time.size else cast("Out", output_type(type(self)).empty())
+        return cast("Out", self._push_rows(batch))
 
     def process(self, batch: In) -> Out:
         """Process at least one row; time never decreases."""

@@ -69,9 +69,6 @@ class Gripper(Sink[Commands]):
         unit: Modbus unit id; 0 or 9 with some adapters.
         limits: Minimum and maximum force, N.
 
-    Attributes:
-        status: Newest status; None while the gripper cannot be reached.
-
     Raises:
         ParameterError: on an invalid value.
 
@@ -100,7 +97,6 @@ class Gripper(Sink[Commands]):
             raise ParameterError("Gripper", "limits", self.limits, must_be)
         self._serving: BackgroundTask | None = None  # None: not open
         self._client: Any = None  # AsyncModbusTcpClient
-        self.status: Status | None = None
 
     @property
     def destination(self) -> str:
@@ -147,7 +143,6 @@ class Gripper(Sink[Commands]):
                     if not status.active:
                         await self._send(Request(active=True))
                     await asyncio.sleep(POLL)
-            self.status = status
         except TimeoutError:
             self._disconnect()
             reason = f"is not ready within {ACTIVATION} s: does something obstruct its fingers?"
@@ -203,7 +198,6 @@ class Gripper(Sink[Commands]):
                         async with asyncio.timeout_at(due):
                             await self._changed.wait()
             except EndpointError as error:
-                self.status = None
                 if not self._failure:
                     log.warning("%s, retrying", error)
                 self._failure = error.reason
@@ -216,7 +210,6 @@ class Gripper(Sink[Commands]):
             raise EndpointError(self.destination, status.reason)
         if not status.ready:
             raise EndpointError(self.destination, "has restarted: the start of the next run activates it")
-        self.status = status
         if self._failure:
             log.warning("%s works again", self.destination)
             self._failure = ""
@@ -278,4 +271,4 @@ class Gripper(Sink[Commands]):
         """Close the connection, if there is one."""
         if self._client:
             self._client.close()
-        self._client, self.status = None, None
+        self._client = None

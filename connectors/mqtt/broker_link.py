@@ -35,7 +35,6 @@ WILL_DELAY = 2  # s; the will is not published if the client reconnects within t
 SESSION_EXPIRY = 10  # s; the broker publishes the will after this time at the latest
 PACKET_MAX = 128 * 1024  # bytes
 NOT_AUTHORIZED = 0x87  # MQTT 5.0, section 2.4
-INCOMING_MAX = 1000  # unread messages; beyond it, the oldest are dropped
 
 _REFUSAL: Final = 0.2  # s, from the end of a connection to the reason of its refusal
 _CLOSED = "the broker closed the connection"
@@ -64,8 +63,8 @@ class Link:
 
     aiomqtt connects, subscribes, and runs the client of paho-mqtt in the event loop. But it ignores the
     reason for which a broker refuses a message (`on_publish`) and the end of a connection that the broker
-    has not accepted yet (`on_disconnect`), has no limit of the time to connect, drops the newest messages
-    instead of the oldest (`on_message`), and may watch a closed socket (`on_socket_register_write`). So the
+    has not accepted yet (`on_disconnect`), has no limit of the time to connect, gives messages only
+    to a task that waits (`on_message`), and may watch a closed socket (`on_socket_register_write`). So the
     link sets these public attributes of the client of paho-mqtt.
     """
 
@@ -115,8 +114,7 @@ class Link:
         self._answers: dict[int, asyncio.Future[ReasonCode | None]] = {}  # PUBACKs, by packet identifier
         self._lost: asyncio.Future[str] = self._loop.create_future()  # reason
         self._changed = changed or asyncio.Event()
-        self._received = deque[tuple[str, bytes]](maxlen=INCOMING_MAX)  # topic and payload
-        self.dropped = 0  # messages that were not read in time
+        self._received = deque[tuple[str, bytes]]()  # topic and payload
 
     @property
     def alive(self) -> bool:
@@ -253,7 +251,6 @@ class Link:
         return answer
 
     def _on_message(self, client: Paho, userdata: object, message: MQTTMessage) -> None:
-        self.dropped += len(self._received) == self._received.maxlen
         self._received.append((message.topic, bytes(message.payload)))
         self._changed.set()
 

@@ -79,7 +79,7 @@ class Consumer(AsyncIterator[Event]):
         self._reply_name = f"consumer-{token_hex(6)}"  # last level of the topic for replies
         self._link: Link | None = None
         self._pauses = Pauses()
-        self._dropped = self._malformed = 0  # messages of this connection
+        self._malformed = 0  # messages of this connection
         self._check_due = 0.0  # loop time (s) of the next check of all rigs for gaps
         self._event: Event | None = None  # the event in progress, which the position does not have yet
         self._saving: BackgroundTask | None = None
@@ -134,9 +134,6 @@ class Consumer(AsyncIterator[Event]):
                 self._report(f"{error}, reconnecting")
                 await self._disconnect()
                 continue
-            if link.dropped > self._dropped:
-                dropped, self._dropped = link.dropped - self._dropped, link.dropped
-                self._report(f"{self._broker}: the consumer is behind: {dropped} messages dropped")
             try:
                 rig, self._event = self._process(topic, payload)
             except InputError as error:
@@ -216,7 +213,7 @@ class Consumer(AsyncIterator[Event]):
             await link.disconnect()
             raise
         self._pauses.connected()
-        self._dropped, self._malformed, self._check_due = 0, 0, 0.0
+        self._malformed, self._check_due = 0, 0.0
         self._position.reconnected()
         return link
 

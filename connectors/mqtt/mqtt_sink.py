@@ -119,7 +119,7 @@ class Mqtt(Sink[Slips | Faults]):
         self._sender = Sender(self._broker, self._topic, self._outbox, self._documents)
         online = self._status("online", run.clock.now())
         try:
-            documents = online, self._info(), self._head(), *self._no_slips()
+            documents = online, self._head(), *self._no_slips()
             will = self._status("offline", None)
             await self._sender.start(identifier, will, *documents, connect_required=self.connect_required)
         except BaseException:
@@ -209,17 +209,6 @@ class Mqtt(Sink[Slips | Faults]):
     def _status(self, state: str, since: int | None) -> Message:
         when = None if since is None else timestamp(since)  # unknown for a will
         return self._about_run("status", state=state, version=software_version(), since=when)
-
-    def _info(self) -> Message:
-        return self._about_run(
-            "info",
-            flow=self._run.flow,
-            sources={name: dict(description) for name, description in self._run.describe.items()},
-            model=self._model.values(),
-            threshold=self.threshold,
-            consecutive=self.consecutive,
-            units={"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
-        )
 
     def _head(self) -> Message:
         heads = self._outbox.heads()

@@ -138,7 +138,6 @@ class SimulatedLink:
         self._answers = set[asyncio.Future[str]]()
         self._next = 0.0  # loop time (s): packets of one client arrive in order
         self._next_of: dict[str, float] = {}  # the same for deliveries, by topic
-        self.dropped = 0
 
     @property
     def alive(self) -> bool:

@@ -6,13 +6,11 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from connectors import Consumer, Event, Mqtt
-from connectors.mqtt import broker_link as link
+from connectors import Consumer, Event
 from connectors.mqtt.broker_link import Link
 from operators.errors import EndpointError, ParameterError
-from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker
-from tests.connectors.mqtt.made import EVENT, opened, slips
+from tests.connectors.mqtt.made import EVENT
 from tests.inside import inside
 from tests.waiting import PATIENCE, until
 
@@ -74,21 +72,6 @@ async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: T
         f"ignoring malformed message: {UR10}/2/event: has an event of lab/ur10/0",
         f"ignoring malformed message: {UR10}/3/event: is 100000 bytes long; the limit is 65536",
     } < {*reports}
-
-
-async def test_dropped_messages_are_reported_and_their_events_fetched(
-    broker: TestBroker, run: Run, links: list[Link], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    reports = list[str]()
-    async with opened(Mqtt(broker.url, "lab", "ur10"), run) as sink:
-        monkeypatch.setattr(link, "INCOMING_MAX", 8)
-        async with Consumer(broker.url, report=reports.append) as events:
-            await following(events)
-            await sink.write(slips(*[1, 0] * 20))
-            await until(lambda: links[1].dropped > 20)
-            assert sorted(await take(events, 40)) == list(range(1, 41))
-    assert reports
-    assert all("the consumer is behind: " in report for report in reports)
 
 
 async def test_an_unwritable_position_file_is_reported_and_written_once_it_can_be(

@@ -26,7 +26,7 @@ MISTAKES = [
     ("run live --replay missing.csv", "missing.csv"),
     ("run live --replay wrong.csv", "wrong.csv"),
     ("run record --set out=lab.csv --for 1s", "lab.csv"),
-    ("run broken.py --page --listen 0.0.0.0:0", "--listen 0.0.0.0:0: token is None, must be set"),
+    ("run broken.py --page --listen 0.0.0.0:0", "--listen 0.0.0.0:0: host is '0.0.0.0', must be 127.0.0.1"),
     ("run live --for soon", "run: --for is 'soon', must be a time with its unit: 500ms, 30s, 1h or 30d"),
     ("run live --jobs 2", "--jobs is for replays: add --replay PATH"),
     ("run live x.csv", "a further recording is for replays: add --replay PATH"),
@@ -34,7 +34,7 @@ MISTAKES = [
     ("run live --replay . --cluster tcp://x:1 --jobs 2", "workers: jobs is 2, must be omitted with a cluste"),
     ("run live --set detector", "--set detector: write it as NAME=VALUE, such as seed=1"),
     ("run live --listen host:", "--listen host:: write it as PORT or HOST:PORT, such as 8765"),
-    ("run broken.py --metrics 0.0.0.0:9464", "--metrics 0.0.0.0:9464: token is None, must be set"),
+    ("run broken.py --metrics 0.0.0.0:9464", "--metrics 0.0.0.0:9464: host is '0.0.0.0', must be 127.0.0.1"),
     ("check live --set detector=oracle", "oracle: is not a detector: give "),
     (
         "check live --set seeds=1",
@@ -43,7 +43,7 @@ MISTAKES = [
     ("check record --set delay=-1ms", "record: delay is -1000000, must be at least 0 ns"),
     ("doctor --set a=1", "--set requires a flow"),
     ("show .", ": is not a session"),
-    ("show none --listen 0.0.0.0:0", "Page: token is None"),  # none is not read
+    ("show none --listen 0.0.0.0:0", "Page: host is '0.0.0.0', must be 127.0.0.1"),  # none is not read
     ("watch mqtt://127.0.0.1:1", "mqtt://127.0.0.1:1: cannot connect"),
     ("watch localhost", "localhost"),
     ("watch --since yesterday", "yesterday"),
