@@ -15,7 +15,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass
 class Window(Operator[Touch, Windows]):
-    """Collect the newest `length` samples at every sample, starting with the first full window.
+    """Collect the newest `length` samples at each sample, starting with the first full window.
 
     Windows are read-only views that overlap in memory; the memory is never overwritten, so they may be kept.
 
