@@ -128,7 +128,14 @@ class Batch(Declared):
         if rows is not None and rows.dtype == packed_type(type(self), self.cells):
             expected.row = rows.dtype
             return self
-        return self._check_each()
+        try:
+            traits = expected.traits(self)
+        except AttributeError:  # a column is not an array
+            return self._check_each()
+        if traits != expected.valid:
+            self._check_each()
+            expected.valid = traits
+        return self
 
     def is_ordered(self) -> bool:
         """Return True if time never decreases."""
@@ -176,6 +183,9 @@ class Layout:
 
     def __init__(self, kind: type[Batch]) -> None:
         expected = columns(kind)
+        traits = "__class__", "dtype", "shape"  # of each column
+        self.traits = attrgetter(*(f"{name}.{trait}" for name in expected for trait in traits))
+        self.valid: object = None  # traits of the newest valid batch
         self.row: object = None  # type of the rows of the newest valid packed batch
         self.cell_column = next((name for name, each in expected.items() if CELLS in each.shape), None)
         getter = attrgetter(*expected)

@@ -161,7 +161,10 @@ class Operator(AnyOperator, Generic[In, Out]):
 
         Late rows are dropped and counted in `late`.
         """
-        return cast("Out", self._push_rows(batch))
+        if fuses(type(self)):
+            return cast("Out", self._push_rows(batch))
+        kept = self._late_filters[0].filter(batch)
+        return self.process(kept) if kept.time.size else cast("Out", output_type(type(self)).empty())
 
     def process(self, batch: In) -> Out:
         """Process at least one row; time never decreases."""

@@ -15,6 +15,8 @@ from operators.steps import Record, RowType, Steps, copy, record_type
 
 Choice: TypeAlias = tuple[int, ...]  # entrances
 BLOCK: Final = 4096  # rows per call
+FEW: Final = 16  # rows of a batch that is a view of the only output
+SHARED: Final = 1024  # rows of views, after which the output is replaced
 
 STEP = TAKE = GIVE = NEXT = OTHER = END = TIME = cast("Any", None)  # functions
 SETTINGS = STATE = MADE = STOP = OUT = ""  # fields of records
@@ -82,7 +84,7 @@ def compose(
         fields += [(f"settings{i}", shape.settings), (f"state{i}", shape.state)]
         fields += [(f"made{i}", shape.gives.packed), (f"stop{i}", np.int64)]
         if shape.delivers:
-            room = limit * factor + extra
+            room = SHARED + FEW + limit * factor + extra
             places.append((f"out{i}", shape.gives.packed, (room,)))
     flow, outputs = np.dtype(fields, align=True), np.dtype(places, align=True)
     drives = dict[Choice, Callable[..., int]]()
@@ -172,10 +174,15 @@ def drop(flow: Record, outputs: Record, row: Record) -> None:
     """End the path of a row that nothing reads."""
 
 
+def is_given(result: bool | None) -> bool:
+    """Return whether a step has an output row; a step without a result has none."""
+    return result is not None and bool(result)
+
+
 def pass_through(flow: Record, outputs: Record, row: Record) -> None:
     """Pass a row through a step."""
     made = flow[MADE]
-    if STEP(flow[SETTINGS], flow[STATE], row, made):
+    if is_given(STEP(flow[SETTINGS], flow[STATE], row, made)):
         NEXT(flow, outputs, made)
 
 
@@ -183,7 +190,7 @@ def take_and_give(flow: Record, outputs: Record, row: Record) -> None:
     """Pass a row to an operator, and on all rows that it gives."""
     TAKE(flow[SETTINGS], flow[STATE], row)
     made = flow[MADE]
-    while GIVE(flow[SETTINGS], flow[STATE], made):
+    while is_given(GIVE(flow[SETTINGS], flow[STATE], made)):
         NEXT(flow, outputs, made)
 
 
@@ -233,7 +240,7 @@ def end(flow: Record, outputs: Record) -> None:
     """End the stream of an operator, then of those after it."""
     flow[STATE].ended = 1
     made = flow[MADE]
-    while GIVE(flow[SETTINGS], flow[STATE], made):
+    while is_given(GIVE(flow[SETTINGS], flow[STATE], made)):
         NEXT(flow, outputs, made)
     OTHER(flow, outputs)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.batch import Counts, Flags, Reals, Scores, Zeroed
-from operators.detectors.detector import Detector
+from operators.detectors.detector import Detector, StreamingDetector
 from operators.errors import BatchError, ParameterError
 from operators.fingertip import Fingertip
 from operators.operator import Operator
@@ -67,8 +67,9 @@ class Score(Operator[Zeroed, Scores]):
 
     def steps(self, *given: RowType) -> Steps | None:
         """Return the step of a streaming detector; None for others, or if numba is not installed."""
-        steps = getattr(self.detector, "steps", None)
-        return cast("Steps", steps(given[0].cells)) if steps and compiler() else None
+        if compiler() is None or not isinstance(self.detector, StreamingDetector):
+            return None
+        return self.detector.steps(given[0].cells)
 
     def process(self, batch: Zeroed) -> Scores:
         """Return a score for each window whose newest sample is in the batch."""

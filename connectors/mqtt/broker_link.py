@@ -35,6 +35,7 @@ WILL_DELAY = 2  # s; the will is not published if the client reconnects within t
 SESSION_EXPIRY = 10  # s; the broker publishes the will after this time at the latest
 PACKET_MAX = 128 * 1024  # bytes
 NOT_AUTHORIZED = 0x87  # MQTT 5.0, section 2.4
+INCOMING_MAX = 1000  # unread messages; beyond it, the oldest are dropped
 
 _REFUSAL: Final = 0.2  # s, from the end of a connection to the reason of its refusal
 _CLOSED = "the broker closed the connection"
@@ -63,8 +64,8 @@ class Link:
 
     aiomqtt connects, subscribes, and runs the client of paho-mqtt in the event loop. But it ignores the
     reason for which a broker refuses a message (`on_publish`) and the end of a connection that the broker
-    has not accepted yet (`on_disconnect`), has no limit of the time to connect, gives messages only
-    to a task that waits (`on_message`), and may watch a closed socket (`on_socket_register_write`). So the
+    has not accepted yet (`on_disconnect`), has no limit of the time to connect, drops the newest messages
+    instead of the oldest (`on_message`), and may watch a closed socket (`on_socket_register_write`). So the
     link sets these public attributes of the client of paho-mqtt.
     """
 
@@ -114,7 +115,8 @@ class Link:
         self._answers: dict[int, asyncio.Future[ReasonCode | None]] = {}  # PUBACKs, by packet identifier
         self._lost: asyncio.Future[str] = self._loop.create_future()  # reason
         self._changed = changed or asyncio.Event()
-        self._received = deque[tuple[str, bytes]]()  # topic and payload
+        self._received = deque[tuple[str, bytes]](maxlen=INCOMING_MAX)  # topic and payload
+        self.dropped = 0  # messages that were not read in time
 
     @property
     def alive(self) -> bool:
@@ -145,23 +147,25 @@ class Link:
             self.abort()
             raise EndpointError(self._url, f"cannot connect: {_reason(error)}{self._hint(error)}") from None
 
-    async def send_all(self, messages: Sequence[Message]) -> None:
+    async def send_all(self, messages: Sequence[Message]) -> list[str]:
         """Publish messages with QoS 1 in order, then wait for all acknowledgements.
 
-        Raises:
-            EndpointError: if the connection is lost or the broker refuses one; it may have the others.
+        Returns the reason for the refusal of each message; empty if the broker accepted it. If the connection
+        is lost, the broker may have received any of them.
         """
         answers = [self.publish(message) for message in messages]
         unanswered = (await asyncio.wait(answers, timeout=TIMEOUT))[1] if answers else ()
         if unanswered:
             self._lose(_reason(TimeoutError()))
+        refusals = list[str]()
         for message, answer in zip(messages, answers, strict=True):
             code = answer.result()
             if code is None:
                 self.abort()
                 raise self._loss()
-            if code.is_failure:
-                raise EndpointError(self._url, f"refuses to publish {message.topic}: {_refusal(code)}")
+            refused = f"refuses to publish {message.topic}: {_refusal(code)}"
+            refusals.append(refused if code.is_failure else "")
+        return refusals
 
     async def listen(self, *topics: str) -> None:
         """Subscribe to topic filters with QoS 1; `receive` returns their messages.
@@ -251,6 +255,7 @@ class Link:
         return answer
 
     def _on_message(self, client: Paho, userdata: object, message: MQTTMessage) -> None:
+        self.dropped += len(self._received) == self._received.maxlen
         self._received.append((message.topic, bytes(message.payload)))
         self._changed.set()
 
@@ -321,7 +326,9 @@ async def diagnose_broker(broker: Broker, topic: str, clock: Clock) -> AsyncGene
         if broker.scheme == "mqtts":
             yield Finding(str(broker), "TLS with a trusted certificate")
         start = clock.now()
-        await link.send_all([Message(topic, b"{}", retain=False)])
+        [refusal] = await link.send_all([Message(topic, b"{}", retain=False)])
+        if refusal:
+            raise EndpointError(str(broker), refusal)
         yield Finding(str(broker), f"accepts {topic} within {(clock.now() - start) / ms:.1f} ms")
     finally:
         await link.disconnect()

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("slipflow")
 
 CHECK_EVERY = 3.0  # s, between checks of all rigs for missed events
+REQUESTS_MAX = 100  # requests per check
 MALFORMED_MAX = 20  # malformed messages that are reported per connection
 
 
@@ -79,7 +80,7 @@ class Consumer(AsyncIterator[Event]):
         self._reply_name = f"consumer-{token_hex(6)}"  # last level of the topic for replies
         self._link: Link | None = None
         self._pauses = Pauses()
-        self._malformed = 0  # messages of this connection
+        self._dropped = self._malformed = 0  # messages of this connection
         self._check_due = 0.0  # loop time (s) of the next check of all rigs for gaps
         self._event: Event | None = None  # the event in progress, which the position does not have yet
         self._saving: BackgroundTask | None = None
@@ -123,8 +124,7 @@ class Consumer(AsyncIterator[Event]):
             if asyncio.get_running_loop().time() >= self._check_due:
                 self._check_due = asyncio.get_running_loop().time() + CHECK_EVERY
                 self._save_position()
-                for rig in self._position.rigs:
-                    self._request_missed(link, rig)
+                self._check(link)
             try:
                 async with asyncio.timeout_at(self._check_due):
                     topic, payload = await link.receive()
@@ -134,6 +134,9 @@ class Consumer(AsyncIterator[Event]):
                 self._report(f"{error}, reconnecting")
                 await self._disconnect()
                 continue
+            if link.dropped > self._dropped:
+                dropped, self._dropped = link.dropped - self._dropped, link.dropped
+                self._report(f"{self._broker}: the consumer is behind: {dropped} messages dropped")
             try:
                 rig, self._event = self._process(topic, payload)
             except InputError as error:
@@ -146,6 +149,14 @@ class Consumer(AsyncIterator[Event]):
                 return self._event
             self._request_missed(link, rig)
 
+    def _check(self, link: "Link") -> None:
+        """Request missed events of up to 100 rigs; the next check asks others, as these may still answer."""
+        requests = 0
+        for rig in reversed(self._position.rigs):
+            requests += self._request_missed(link, rig)
+            if requests == REQUESTS_MAX:
+                break
+
     def _process(self, topic: str, payload: bytes) -> tuple[RigId, Event | None]:
         """Process a message; return its rig, and its event if the event is new."""
         _, _, site, name, *rest = topic.split("/")
@@ -155,10 +166,10 @@ class Consumer(AsyncIterator[Event]):
             raise InputError(f"{topic!a:.200}", reason)
         reply = ["replay", self._reply_name]
         if rest == ["head"]:
-            self._position.announce(rig, read_heads(payload, topic))
-            self._changed = True
+            self._change(self._position.announce(rig, read_heads(payload, topic)))
         elif rest == reply and decode(payload, _Reply, topic).specversion is None:
-            self._change(self._position.settle(rig, decode(payload, GapAnswer, topic)))
+            now = asyncio.get_running_loop().time()
+            self._change(self._position.settle(rig, decode(payload, GapAnswer, topic), now))
         else:
             event = Event.decode(payload, topic)
             if (event.site, event.rig) != rig or rest not in ([event.finger, "event"], reply):
@@ -181,13 +192,15 @@ class Consumer(AsyncIterator[Event]):
         for text in lost:
             self._report(text)
 
-    def _request_missed(self, link: "Link", rig: RigId) -> None:
+    def _request_missed(self, link: "Link", rig: RigId) -> bool:
         """Request missed events of a rig if there are any, unless it may still answer the latest request."""
         gap = self._position.request(rig, asyncio.get_running_loop().time())
-        if gap:
-            topic = rig_topic("Consumer", *rig)
-            payload = GapRequest(*gap, f"{topic}/replay/{self._reply_name}").encode()
-            link.publish(Message(f"{topic}/replay/request", payload, retain=False))
+        if gap is None:
+            return False
+        topic = rig_topic("Consumer", *rig)
+        payload = GapRequest(*gap, f"{topic}/replay/{self._reply_name}").encode()
+        link.publish(Message(f"{topic}/replay/request", payload, retain=False))
+        return True
 
     async def _reconnect(self) -> "Link":
         failures = 0
@@ -213,7 +226,7 @@ class Consumer(AsyncIterator[Event]):
             await link.disconnect()
             raise
         self._pauses.connected()
-        self._malformed, self._check_due = 0, 0.0
+        self._dropped, self._malformed, self._check_due = 0, 0, 0.0
         self._position.reconnected()
         return link
 

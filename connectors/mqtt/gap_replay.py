@@ -2,6 +2,7 @@
 
 import logging
 from itertools import pairwise
+from math import inf
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -86,9 +87,9 @@ class GapReplies:
         self._malformed_logged = False
 
     @property
-    def due(self) -> float | None:
-        """Loop time (s) of the next answer; None if there is no request."""
-        return self._earliest if self._pending else None
+    def due(self) -> float:
+        """Loop time (s) of the next answer; infinite if there is no request."""
+        return self._earliest if self._pending else inf
 
     def request(self, payload: bytes) -> None:
         """Queue a request if there is room; ignore malformed ones, and log the first of them."""
@@ -109,7 +110,7 @@ class GapReplies:
 
     async def next(self, now: float) -> list[Message]:
         """Return the next answer that is due at the loop time `now`, with at most `SLICE` events; else []."""
-        while self._pending and now >= self._earliest:
+        while now >= self.due:
             request = next(iter(self._pending))
             del self._pending[request]
             try:

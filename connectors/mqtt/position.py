@@ -23,9 +23,13 @@ Range: TypeAlias = tuple[int, int]  # first and last number
 
 FORMAT: Final = 2
 FILE_MAX = 32 * 2**20  # bytes; more than the longest names need
-EPOCHS_MAX = 128  # per rig; beyond it, the oldest is forgotten
+SIZE_MAX = 200_000  # numbers of all rigs; an epoch counts as `EPOCH_SIZE`
+EPOCH_SIZE = 20
+EPOCHS_MAX = 128  # per rig
 AHEAD_MAX = 10_000  # events after a gap; beyond it, the gap is given up
-REQUEST_EVERY = 3.0  # s, before a request is repeated
+REQUEST_EVERY = 3.0  # s, before a request is repeated; doubles with each that is not answered
+REQUEST_LAST = 60.0  # s, longest time before a request is repeated
+RETURN_WITHIN = 30.0  # s, for an epoch that the rig no longer announces; then its missed events are lost
 
 
 class _Head(Document, frozen=True):
@@ -46,6 +50,7 @@ class _Epoch(msgspec.Struct):
     done: Count = 0
     head: Annotated[int, Meta(ge=-1, le=INT64)] = -1  # newest announced number; -1: not announced yet
     ahead: set[Number] = set()
+    delivered: bool = False  # an event of it was received
 
     def __post_init__(self) -> None:
         if self.ahead and min(self.ahead) <= self.done + 1:
@@ -90,29 +95,37 @@ class _Rig:
     """Epochs of one rig, and the request that it may answer."""
 
     epochs: dict[str, _Epoch] = field(default_factory=dict[str, _Epoch])
+    announced: frozenset[str] = frozenset()  # epochs of the newest head
+    denied: dict[str, float] = field(default_factory=dict[str, float])  # time, by epoch, see `settle`
     request: tuple[str, int, int] = ("", 0, 0)  # epoch, first and last number
-    due: float = -inf  # time from which it may be asked again
+    asked: float = -inf  # time of the request
+    wait: float = 0.0  # s after it until the next one
 
-    def epoch(self, name: str, new: _Epoch) -> _Epoch:
-        """Return an epoch, which is `new` if it is not known."""
-        found = self.epochs.setdefault(name, new)
-        if len(self.epochs) > EPOCHS_MAX:
-            del self.epochs[next(iter(self.epochs))]
-        return found
+    @property
+    def delivered(self) -> bool:
+        return any(epoch.delivered for epoch in self.epochs.values())
+
+    @property
+    def size(self) -> int:
+        return sum(EPOCH_SIZE + len(epoch.ahead) for epoch in self.epochs.values())
 
 
 class Position:
     """Numbers of the received events, by rig and epoch, and requests for the missed ones.
 
     A new rig starts with its next event; with `everything`, with its first. Methods that return a list of
-    texts report lost events: a rig has answered that it no longer keeps them.
+    texts report lost events. An event is lost if its rig answers that it no longer keeps it. If the rig does
+    not announce its epoch either, it counts as lost only after 30 s: another rig of the same name, which
+    uses the broker in turn with the right one, answers the same.
+
+    Memory is bounded: what never delivered an event is forgotten first, then the rig silent for longest.
 
     >>> position = Position()
     >>> position.announce(("lab", "ur10"), {"ab": 4})
-    >>> position.announce(("lab", "ur10"), {"ab": 6})
-    >>> position.request(("lab", "ur10"), 0.0)
-    ('ab', 5, 6)
-    >>> position.settle(("lab", "ur10"), GapAnswer("ab", 5, 6, ((5, 5),)))
+    []
+    >>> position.announce(("lab", "ur10"), {"ab": 6}), position.request(("lab", "ur10"), 0.0)
+    ([], ('ab', 5, 6))
+    >>> position.settle(("lab", "ur10"), GapAnswer("ab", 5, 6, ((5, 5),)), 0.1)
     ['lab/ur10: event 5 of epoch ab is lost: no longer kept']
     """
 
@@ -134,55 +147,70 @@ class Position:
     def take(self, event: Event) -> list[str]:
         """Mark an event as received; give up the oldest gap if too many events have come since."""
         name = event.site, event.rig
-        known = name in self._rigs
-        rig = self._rigs.setdefault(name, _Rig())
+        known = self._rigs.pop(name, None)
+        rig = self._rigs[name] = known or _Rig()
         start = 0 if known or self._everything else event.seq - 1
-        epoch = rig.epoch(event.epoch, _Epoch(*name, event.epoch, start))
+        epoch = rig.epochs.setdefault(event.epoch, _Epoch(*name, event.epoch, start))
         epoch.add(event.seq)
+        epoch.delivered = True
+        rig.denied.pop(event.epoch, None)
+        rig.wait = min(rig.wait, REQUEST_EVERY)
         lost = epoch.give_up(min(epoch.ahead) - 1) if len(epoch.ahead) > AHEAD_MAX else []
-        return [*_lost(name, event.epoch, lost, "given up after too many gaps without an answer")]
+        why = "given up after too many gaps without an answer"
+        return [*_lost(name, event.epoch, lost, why), *self._forget(rig)]
 
-    def announce(self, name: RigId, heads: dict[str, int]) -> None:
+    def announce(self, name: RigId, heads: dict[str, int]) -> list[str]:
         """Raise the newest number of each epoch that a rig keeps."""
         rig = self._rigs.setdefault(name, _Rig())
         first = all(each.head < 0 for each in rig.epochs.values())
+        rig.announced = frozenset(heads)
         for each, head in heads.items():
-            epoch = rig.epoch(each, _Epoch(*name, each, head if first and not self._everything else 0))
-            epoch.head = max(epoch.head, head)
+            if each not in rig.epochs:
+                rig.epochs[each] = _Epoch(*name, each, head if first and not self._everything else 0)
+            rig.epochs[each].head = max(rig.epochs[each].head, head)
+            rig.denied.pop(each, None)
+        if rig.delivered:
+            rig.wait = min(rig.wait, REQUEST_EVERY)
+        return self._forget(rig)
 
     def request(self, name: RigId, now: float) -> tuple[str, int, int] | None:
         """Return the events to request from a rig now: epoch, first and last number; None if there are none.
 
-        A rig may answer for 3 s. Then it is asked about another epoch, if events of one are missed, or again.
+        A rig may answer for 3 s, and twice as long after each request that it has not answered. Then it is
+        asked about another epoch, if events of one are missed.
         """
         rig = self._rigs.get(name)
-        if rig is None or now < rig.due:
+        if rig is None or now < rig.asked + rig.wait:
             return None
         gaps = [(each, *gap) for each, epoch in rig.epochs.items() if (gap := epoch.gap)]
         if not gaps:
             return None
         rig.request = next((gap for gap in gaps if gap[0] != rig.request[0]), gaps[0])
-        rig.due = now + REQUEST_EVERY
+        rig.asked, rig.wait = now, min(max(2 * rig.wait, REQUEST_EVERY), REQUEST_LAST)
         return rig.request
 
     def reconnected(self) -> None:
         """Allow each rig one request at once; answers to earlier ones will not come."""
         for rig in self._rigs.values():
-            rig.request, rig.due = ("", 0, 0), -inf
+            rig.request, rig.asked = ("", 0, 0), -inf
 
-    def settle(self, name: RigId, answer: GapAnswer) -> list[str]:
+    def settle(self, name: RigId, answer: GapAnswer, now: float) -> list[str]:
         """Close the gaps that an answer to the latest request lists as missing, and report their events."""
         rig = self._rigs.get(name)
         if rig is None or rig.request[:2] != (answer.epoch, answer.first) or answer.epoch not in rig.epochs:
             return []
         epoch = rig.epochs[answer.epoch]
         requested, rig.request = rig.request[1:], ("", 0, 0)
+        if answer.missing and answer.epoch not in rig.announced:
+            rig.request = (answer.epoch, 0, 0)  # the next request is about another epoch, if there is one
+            if now < rig.denied.setdefault(answer.epoch, now) + RETURN_WITHIN:
+                return []
         lost = list[Range]()
         for first, last in answer.missing:
             if first <= epoch.done + 1:  # else an event of the answer did not arrive: request again
                 lost += epoch.give_up(last)
         if epoch.gap != requested:  # else the answer was of no use
-            rig.due = -inf
+            rig.wait = 0.0
         return [*_lost(name, answer.epoch, lost, "no longer kept")]
 
     def encode(self) -> bytes:
@@ -196,7 +224,25 @@ class Position:
         position = cls(everything=everything)
         for epoch in decode(payload, _File, where, largest=FILE_MAX).rigs:
             position._rigs.setdefault((epoch.site, epoch.rig), _Rig()).epochs[epoch.epoch] = epoch
+        for rig in list(position._rigs.values()):
+            rig.announced = frozenset(name for name, epoch in rig.epochs.items() if epoch.head >= 0)
+            position._forget(rig)
         return position
+
+    def _forget(self, rig: _Rig) -> list[str]:
+        """Forget epochs of a rig, and rigs, if there are too many; report the rigs that have delivered."""
+        while len(rig.epochs) > EPOCHS_MAX:
+            silent = (name for name, epoch in rig.epochs.items() if not epoch.delivered)
+            del rig.epochs[next(silent, next(iter(rig.epochs)))]
+        size, forgotten = sum(each.size for each in self._rigs.values()), list[str]()
+        while size > SIZE_MAX:
+            unheard = (each for each, known in self._rigs.items() if not known.delivered)
+            name = next(unheard, next(iter(self._rigs)))
+            gone = self._rigs.pop(name)
+            size -= gone.size
+            if gone.delivered:
+                forgotten.append(f"{'/'.join(name)}: position forgotten: too many rigs and epochs")
+        return forgotten
 
 
 def read_heads(payload: bytes, where: str) -> dict[str, int]:

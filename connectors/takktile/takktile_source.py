@@ -10,7 +10,7 @@ import numpy as np
 
 from connectors.rate_check import DIAGNOSIS, rate_finding
 from connectors.takktile.scanner import CONVERSION, Scan, Scanner, ScanThread
-from connectors.takktile.takktile_protocol import ROWS, Coefficients
+from connectors.takktile.takktile_protocol import LEAST, MOST, ROWS, Coefficients
 from operators.batch import BAROMETERS, Touch, ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip
@@ -176,6 +176,16 @@ def _row_fault(
     if scans and (shares < VALID_LEAST).any():
         weak = _join(np.flatnonzero(shares < VALID_LEAST).tolist())
         return f"cells {weak} give implausible values: unload the fingertip, or replace it"
+    far = list[str]()
+    for cell, coefficients in enumerate(known):
+        raw = [(one.counts[row, cell], one.temperature[row, cell]) for one in scans if one.valid[row, cell]]
+        if coefficients and raw:
+            counts, temperature = np.median(raw, axis=0)
+            pressure = coefficients.pressure(float(counts), float(temperature))  # kPa
+            far += [f"cell {cell} {pressure:.0f} kPa"] * (not LEAST <= pressure <= MOST)
+    if far:
+        outside = f"the pressure is outside {LEAST:g} to {MOST:g} kPa: {', '.join(far)}"
+        return f"{outside}; unload the fingertip, or replace it"
     return ""
 
 

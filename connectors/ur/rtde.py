@@ -122,11 +122,12 @@ class RtdeClient:
     Attributes:
         endpoint: Address in error messages.
         controller: Software version, such as 5.11.0.1; empty before the controller has sent it.
+        texts: Messages that the controller sent.
     """
 
     def __init__(self, clock: Clock, host: str, port: int, outputs: Mapping[str, str], rate: float) -> None:
         self.endpoint = f"rtde://{host}:{port}"
-        self.controller, self._texts = "", 0
+        self.controller, self.texts = "", 0
         self._address, self._clock = (host, port), clock
         self._outputs, self._rate = outputs, rate
         fields = ((name, *_NUMPY[kind]) for name, kind in outputs.items())
@@ -198,7 +199,7 @@ class RtdeClient:
                 return payload
             if kind != Kind.TEXT:
                 raise RtdeError(f"received package {chr(kind)!r}, expected {chr(expected)!r}")
-            self._log_text(payload)
+            self._count_text(payload)
 
     async def _row_of(self, recipe: int) -> bytes:
         """Return the next data package."""
@@ -216,10 +217,10 @@ class RtdeClient:
         except Exception as error:  # noqa: BLE001 - raised by `receive`
             await self._received.put(error)
 
-    def _log_text(self, payload: bytes) -> None:
-        """Log a message if it is among the first `TEXTS` of this connection."""
-        self._texts += 1
-        if self._texts <= TEXTS:
+    def _count_text(self, payload: bytes) -> None:
+        """Count a message, and log the first `TEXTS` of this connection."""
+        self.texts += 1
+        if self.texts <= TEXTS:
             log.warning("controller: %s", text(payload))
 
     async def _unread(self) -> list[tuple[int, bytes]]:

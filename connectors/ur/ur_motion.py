@@ -3,7 +3,7 @@
 from collections.abc import AsyncGenerator, AsyncIterator
 from dataclasses import dataclass, field
 from math import isclose
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class UrMotion(Source[Motion]):
             raise ParameterError("UrMotion", "rate", self.rate, must_be)
         address = f"rtde://{self.host}:{self.port}"
         self._about |= {"arm": "UR", "address": address, "rate_hz": self.rate}
-        self._about["controller"] = None
+        self._about |= {"controller": None, "messages": 0}
 
     @property
     def kind(self) -> type[Motion]:
@@ -77,11 +77,13 @@ class UrMotion(Source[Motion]):
         """
         client = RtdeClient(clock, self.host, self.port, OUTPUTS, self.rate)
         newest = -1  # ns, newest timestamp of this connection
+        messages = cast("int", self._about["messages"])  # of the controller, on earlier connections
         try:
             await client.connect()
             self._check_controller(client)
             while True:
                 motion = _decode(client.endpoint, *await client.receive())
+                self._about["messages"] = messages + client.texts
                 steps = np.diff(motion.device_time, prepend=newest)
                 back = steps < 0
                 if len(new := motion[(steps > 0) & ~np.logical_or.accumulate(back)]):
@@ -116,7 +118,7 @@ class UrMotion(Source[Motion]):
         yield rate_finding(client.endpoint, np.rint(stamps * s).astype(np.int64), self.rate, remedy)
 
     def describe(self) -> Description:
-        """Return arm, address, rate, and controller version once it is known."""
+        """Return arm, address, rate, controller version, and the number of its messages so far."""
         return self._about
 
     def _check_controller(self, client: RtdeClient) -> None:

@@ -16,13 +16,17 @@ if TYPE_CHECKING:
 PATH: Final = "/metrics"
 BUCKETS: Final = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # s
 
+_SUFFIX: Final = {"gauge": "", "counter": "_total", "info": "_info"}  # of the sample names of a kind
+
 Status = TypeVar("Status")
 # kind, name, help, value (None: not served)
 Column: TypeAlias = tuple[str, str, str, Callable[[Status], float | None]]
 _SOURCE: Final[tuple[Column[SourceStatus], ...]] = (
     ("gauge", "up", "1 if the source is up, 0 if it is down or stale", lambda each: each.up),
     ("counter", "rows", "Rows received", lambda each: each.rows),
+    ("counter", "late_rows", "Rows that arrived after newer ones", lambda each: each.late),
     ("counter", "failures", "Failures, each followed by a restart", lambda each: each.failures),
+    ("counter", "gaps", "Times without rows after a failure", lambda each: len(each.gaps)),
 )
 _SINK: Final[tuple[Column[SinkStatus], ...]] = (
     ("gauge", "up", "1 if the sink works, 0 if it fails", lambda each: not each.error),
@@ -142,35 +146,37 @@ class Metrics(Sink[Scores | Slips | Faults]):
 
     def collect(self) -> "Iterator[Metric]":
         """Yield the runner's counts; called on each scrape."""
-        from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily
-
         run, now, steps = self._run, self._run.clock.now(), self._run.clock_steps
+        yield _metric("info", "run", "The current run", ({"session": run.session, "flow": run.flow}, 1))
+        yield _metric("gauge", "run_start_time_seconds", "Start, since 1970 UTC", ({}, run.start / s))
         yield from _table("source", _SOURCE, run.sources)
-        lag = GaugeMetricFamily("slipflow_source_lag_seconds", "Age of the newest row", labels=["source"])
-        for name, source in run.sources.items():
-            if source.newest:
-                lag.add_metric([name], (now - source.newest) / s)
-        yield lag
+        ages = {name: (now - each.newest) / s for name, each in run.sources.items() if each.newest}
+        lags = (({"source": name}, age) for name, age in ages.items())
+        yield _metric("gauge", "source_lag_seconds", "Age of the newest row", *lags)
         yield from _table("sink", _SINK, run.sinks)
-        text = "Times the host clock was set"
-        yield CounterMetricFamily("slipflow_host_clock_steps", text, value=len(steps))
+        yield _metric("counter", "host_clock_steps", "Times the host clock was set", ({}, len(steps)))
         text, offset = "Host clock minus clock of the run", steps[-1].offset / s if steps else 0.0
-        yield GaugeMetricFamily("slipflow_host_clock_offset_seconds", text, value=offset)
+        yield _metric("gauge", "host_clock_offset_seconds", text, ({}, offset))
 
 
 def _table(
     label: str, columns: tuple[Column[Status], ...], statuses: Mapping[str, Status]
 ) -> "Iterator[Metric]":
     """Yield the metrics of all sources, or of all sinks."""
-    from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily
-
     for kind, name, text, value in columns:
-        family = CounterMetricFamily if kind == "counter" else GaugeMetricFamily
-        metric = family(f"slipflow_{label}_{name}", text, labels=[label])
-        for each, status in statuses.items():
-            if (number := value(status)) is not None:
-                metric.add_metric([each], number)
-        yield metric
+        values = {each: value(status) for each, status in statuses.items()}
+        samples = (({label: each}, number) for each, number in values.items() if number is not None)
+        yield _metric(kind, f"{label}_{name}", text, *samples)
+
+
+def _metric(kind: str, name: str, text: str, *samples: tuple[dict[str, str], float]) -> "Metric":
+    """Return a metric with its samples, labels and value each."""
+    from prometheus_client.metrics_core import Metric
+
+    metric = Metric(f"slipflow_{name}", text, kind)
+    for labels, value in samples:
+        metric.add_sample(metric.name + _SUFFIX[kind], labels, value)
+    return metric
 
 
 def unready(run: Run) -> str:

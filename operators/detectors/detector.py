@@ -1,8 +1,9 @@
-"""Interface of slip detectors."""
+"""Interfaces of slip detectors."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from operators.batch import Counts, Reals
+from operators.steps import Steps
 
 
 class Detector(Protocol):
@@ -26,5 +27,21 @@ class Detector(Protocol):
 
         Returns:
             (n,) 0 to 1
+        """
+        ...
+
+
+@runtime_checkable
+class StreamingDetector(Detector, Protocol):
+    """Detector that also processes samples one by one, each once, at low cost per sample."""
+
+    def steps(self, cells: int) -> Steps:
+        """Return the step from zeroed touch of this many cells to scores, which `Score` runs.
+
+        They start at the `length`-th sample and agree with `score` of the same window to 1e-5. Without numba,
+        `Score` does not call this.
+
+        Raises:
+            ParameterError: if the detector is for another number of cells.
         """
         ...

@@ -73,7 +73,7 @@ class Tcn(ForOneFingertip):
         return 1 / (1 + np.exp(-inputs[-1][:, 0, 0].astype(np.float64)))
 
     def steps(self, cells: int) -> Steps:
-        """Return the step from zeroed touch to scores, which agree with `score` to 1e-5; needs numba.
+        """Return the step from zeroed touch to scores.
 
         Raises:
             ParameterError: if the network is for another number of cells.

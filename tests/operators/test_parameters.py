@@ -39,7 +39,7 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
     Label: [{"speed": -1}, {"speed": 0.3}, {"speed": nan}, {"rotation": -0.1}],
     Resample: [{"rate": 0}, {"rate": 2e6}, {"rate": nan}, {"gap": 0}],
     Pool: [{"gain": 0.0}, {"gain": inf}, {"groups": ((),)}, {"groups": ((1, 1),)}, {"groups": ((-1,),)}],
-    Window: [{"length": 0}, {"length": 2.5}],
+    Window: [{"length": 0}, {"hop": 0}, {"length": 2.5}],
     Psd: [{"length": 1}, {"cutoff": -1}, {"cutoff": 48}, {"threshold": 0}],
     Debounce: [
         *({"threshold": each} for each in (0, 1.1, nan)),

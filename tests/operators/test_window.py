@@ -11,10 +11,12 @@ def _touch(rows: int) -> Touch:
     return Touch(np.arange(rows) * 10 * ms, counts, counts, counts % 7 > 0, finger=5)
 
 
-@given(rows=st.integers(1, 60), length=st.integers(1, 12))
-def test_windows_hold_the_newest_samples_from_the_first_full_one_on(rows: int, length: int) -> None:
-    touch, windows = _touch(rows), Window(length).push(_touch(rows))
-    ends = range(length, rows + 1)
+@given(rows=st.integers(1, 60), length=st.integers(1, 12), hop=st.integers(1, 15))
+def test_windows_hold_the_newest_samples_at_every_hop_from_the_first_full_one_on(
+    rows: int, length: int, hop: int
+) -> None:
+    touch, windows = _touch(rows), Window(length, hop).push(_touch(rows))
+    ends = range(length, rows + 1, hop)
     assert windows.time.tolist() == [touch.time[end - 1] for end in ends]
     for window, valid, end in zip(windows.counts, windows.valid, ends, strict=True):
         np.testing.assert_array_equal(window, touch.counts[end - length : end])

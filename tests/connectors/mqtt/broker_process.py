@@ -26,7 +26,9 @@ async def deliver(link: Link, topic: str, payload: bytes = b"x", *, retain: bool
     Raises:
         EndpointError: if the broker refuses it.
     """
-    await link.send_all([Message(topic, payload, retain)])
+    [refusal] = await link.send_all([Message(topic, payload, retain)])
+    if refusal:
+        raise EndpointError(topic, refusal)
 
 
 class Received(NamedTuple):

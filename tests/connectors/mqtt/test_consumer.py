@@ -1,16 +1,20 @@
 import asyncio
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
-from connectors import Consumer, Event
+from connectors import Consumer, Event, Mqtt
+from connectors.mqtt import broker_link as link
+from connectors.mqtt.broker import Message
 from connectors.mqtt.broker_link import Link
 from operators.errors import EndpointError, ParameterError
+from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker
-from tests.connectors.mqtt.made import EVENT
+from tests.connectors.mqtt.made import EVENT, opened, slips
 from tests.inside import inside
 from tests.waiting import PATIENCE, until
 
@@ -74,6 +78,21 @@ async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: T
     } < {*reports}
 
 
+async def test_dropped_messages_are_reported_and_their_events_fetched(
+    broker: TestBroker, run: Run, links: list[Link], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reports = list[str]()
+    async with opened(Mqtt(broker.url, "lab", "ur10"), run) as sink:
+        monkeypatch.setattr(link, "INCOMING_MAX", 8)
+        async with Consumer(broker.url, report=reports.append) as events:
+            await following(events)
+            await sink.write(slips(*[1, 0] * 20))
+            await until(lambda: links[1].dropped > 20)
+            assert sorted(await take(events, 40)) == list(range(1, 41))
+    assert reports
+    assert all("the consumer is behind: " in report for report in reports)
+
+
 async def test_an_unwritable_position_file_is_reported_and_written_once_it_can_be(
     broker: TestBroker, tmp_path: Path
 ) -> None:
@@ -105,6 +124,18 @@ async def test_one_consumer_at_a_time_can_use_a_position_file(
         with pytest.raises(EndpointError, match=rf"^{broker.url}: {REFUSED}$"):
             async with Consumer(broker.url, position_file=tmp_path / "position"):
                 pass
+
+
+async def test_a_check_asks_at_most_100_rigs_and_the_next_one_asks_others() -> None:
+    events, posted = Consumer("mqtt://localhost", since="start"), list[Message]()
+    for number in range(300):
+        inside(events, "_position").announce(("lab", f"forged{number}"), {"ab": 9})
+        if number == 100:
+            inside(events, "_position").take(event(3))
+    for checks in range(1, 5):
+        vars(Consumer)["_check"](events, SimpleNamespace(publish=posted.append))
+        assert len({message.topic for message in posted}) == len(posted) == min(100 * checks, 301)
+    assert f"{UR10}/replay/request" in {message.topic for message in posted}
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,13 @@ from msgspec.structs import replace
 from connectors import Event, Mqtt
 from connectors.events import CONTENT_TYPE, Fault, Model
 from connectors.mqtt import broker_link as link
+from connectors.mqtt import sender
 from connectors.mqtt.broker_link import Link
+from connectors.mqtt.mqtt_sink import health
 from operators.batch import Slips, ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.health import FaultKind
-from operators.ports import Run
+from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
 from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener
 from tests.connectors.mqtt.made import opened, slips
 from tests.connectors.web.reading import fault
@@ -82,7 +84,10 @@ async def test_a_regular_end_publishes_offline_with_its_time(
     assert (farewell["state"], farewell["since"]) == ("offline", "1970-01-01T00:01:40.000000000Z")
 
 
-async def test_events_tell_which_faults_last(broker: TestBroker, run: Run) -> None:
+async def test_events_and_health_tell_which_faults_last(
+    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sender, "HEALTH_EVERY", 0.02)
     listener = broker.listen(f"{RIG}/+/event")
     sink = Mqtt(broker.url, rig="rig")
     async with opened(sink, run):
@@ -92,15 +97,19 @@ async def test_events_tell_which_faults_last(broker: TestBroker, run: Run) -> No
         await sink.write(slips(1, finger=1))
         await sink.write(fault(NOW, 3, FaultKind.STUCK, begins=False))
         await sink.write(slips(0))
+        health = broker.listen(f"{RIG}/health")
+        reports = [read(await asyncio.to_thread(health.next)) for _ in range(3)]
     assert event(listener).degraded == (Fault(1, "dead"), Fault(3, "stuck"))
     assert event(listener, "1").degraded == ()
     assert event(listener).degraded == (Fault(1, "dead"),)
+    assert reports[-1]["degraded"] == {"0": [{"barometer": 1, "kind": "dead"}]}
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents(
     broker: TestBroker, run: Run, number: signal.Signals
 ) -> None:
+    run.describe["touch"] = {"sensor": "TakkTile", "rate_hz": 100.0, "noise": float("nan")}
     sink = Mqtt(broker.url, rig="rig")
     async with opened(sink, run):
         await sink.write(slips(1))
@@ -112,10 +121,11 @@ async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents
         await sent(sink)
         await until(lambda: not inside(sink, "_sender", "_changed"))
         listener = broker.listen("slip/#")
-        found = {received.topic: read(received) for received in (listener.next() for _ in range(3))}
+        found = {received.topic: read(received) for received in (listener.next() for _ in range(5))}
     epoch = inside(sink, "_outbox").epoch
-    status, state = (found[f"{RIG}/{name}"] for name in ("status", "0/state"))
+    status, info, state = (found[f"{RIG}/{name}"] for name in ("status", "info", "0/state"))
     assert (status["state"], status["session"], status["epoch"]) == ("online", "run1", epoch)
+    assert info["sources"] == {"touch": {"sensor": "TakkTile", "rate_hz": 100.0, "noise": None}}
     assert state == {
         "slip": False,
         "p": 0.9,
@@ -125,6 +135,7 @@ async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents
         "seq": 4,
     }
     assert found[f"{RIG}/head"] == {"epoch": epoch, "last_seq": 4}
+    assert found[f"{RIG}/health"]["outbox"] == {"error": None, "waiting": 0, "refused": []}
 
 
 async def test_the_state_of_a_fingertip_is_that_of_the_current_run(
@@ -224,3 +235,23 @@ def test_parameters_out_of_range_are_rejected(name: str, value: Any) -> None:
     parameters: dict[str, Any] = {"url": "mqtt://localhost", name: value}
     with pytest.raises(ParameterError, match=f"^Mqtt: {name} is "):
         Mqtt(**parameters)
+
+
+def test_a_health_report_has_lag_gaps_dropped_rows_and_the_newest_clock_steps(run: Run) -> None:
+    gap = Gap(91 * s, 92 * s, "unplugged")
+    run.sources["touch"] = SourceStatus(rows=10, late=2, newest=100 * s - 5 * ms, up=True, gaps=[gap])
+    run.sources["motion"], run.sources["force"] = SourceStatus(), SourceStatus(stale=True)
+    counters: dict[str, Any] = {"rows": 9, "queued": 1, "dropped": 3, "failures": 2}
+    run.sinks["dataset"], run.sinks["mqtt"] = SinkStatus(**counters, error="disk full"), SinkStatus()
+    run.clock_steps += [ClockStep(k * s, k * ms) for k in range(20)]
+    report: Any = health(run)
+    assert report["time_ns"] == NOW
+    silent = {"lag_ms": None, "rows": 0, "late": 0, "gaps": 0}
+    assert report["sources"] == {
+        "touch": {"state": "up", "lag_ms": 5, "rows": 10, "late": 2, "gaps": 1},
+        "motion": {"state": "down", **silent},
+        "force": {"state": "stale", **silent},
+    }
+    assert report["sinks"]["dataset"] == {**counters, "error": "disk full"}
+    assert report["sinks"]["mqtt"]["error"] is None
+    assert report["clock_steps"] == [{"time": k * s, "offset": k * ms} for k in range(10, 20)]

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from connectors import Event
 from connectors.mqtt import position
 from connectors.mqtt.gap_replay import GapAnswer
-from connectors.mqtt.position import Position, RigId, load, lock_position, read_heads
+from connectors.mqtt.position import FILE_MAX, SIZE_MAX, Position, RigId, load, lock_position, read_heads
 from operators.errors import EndpointError, InputError, SlipflowError
 from tests.connectors.mqtt.made import EVENT
 
@@ -26,10 +26,10 @@ def missed(position: Position, rig: RigId = UR10) -> tuple[str, int, int] | None
     return position.request(rig, inf)
 
 
-def settle(position: Position, answer: GapAnswer) -> list[str]:
+def settle(position: Position, answer: GapAnswer, now: float = inf) -> list[str]:
     """Request events, and get an answer."""
-    assert position.request(UR10, inf)
-    return position.settle(UR10, answer)
+    assert position.request(UR10, now)
+    return position.settle(UR10, answer, now)
 
 
 @given(st.lists(st.tuples(st.sampled_from(["event", "head", "missing"]), st.integers(1, 20))))
@@ -41,10 +41,10 @@ def test_an_event_is_received_missed_or_lost_as_in_a_set_of_numbers(steps: list[
             assert not position.take(event(number))
             settled.add(number)
         elif what == "head":
-            position.announce(UR10, {"ab": number})
+            assert not position.announce(UR10, {"ab": number})
         elif gap := missed(position):
             last = max(gap[1], number)
-            lost += position.settle(UR10, GapAnswer("ab", gap[1], last, ((gap[1], last),)))
+            lost += position.settle(UR10, GapAnswer("ab", gap[1], last, ((gap[1], last),)), inf)
             settled |= {*range(gap[1], min(last, newest) + 1)}
         newest = max(newest, number if what != "missing" else 0)
         absent = [n for n in range(1, newest + 1) if n not in settled]
@@ -62,7 +62,7 @@ def test_no_head_brings_back_an_event_or_reports_a_loss(steps: list[tuple[dict[s
     position, received = Position(), list[Event]()
     position.announce(UR10, {"ab": 0})
     for heads, number in steps:
-        position.announce(UR10, heads)
+        assert not position.announce(UR10, heads)
         received.append(event(number, next(iter(heads))))
         assert not position.take(received[-1])
         assert all(position.has(each) for each in received)
@@ -83,43 +83,92 @@ def test_missing_events_of_an_answer_are_reported_lost_once_and_only_if_they_wer
     position.announce(UR10, {"ab": 9})
     position.take(event(3))
     answer = GapAnswer("ab", 1, 5, ((1, 4),))
-    assert not position.settle(UR10, answer)  # nothing was requested
+    assert not position.settle(UR10, answer, 0.0)  # nothing was requested
     assert settle(position, answer) == [
         "lab/ur10: events 1 to 2 of epoch ab are lost: no longer kept",
         "lab/ur10: event 4 of epoch ab is lost: no longer kept",
     ]
-    assert not position.settle(UR10, answer)
+    assert not position.settle(UR10, answer, 0.0)
     assert not settle(position, GapAnswer("ab", 5, 9, ((7, 9),)))  # events 5 and 6 did not arrive
     assert missed(position) == ("ab", 5, 9)
 
 
-def test_a_request_is_repeated_after_3_s_and_at_once_after_an_answer_of_use() -> None:
-    position, asked = Position(everything=True), list[tuple[str, int, int] | None]()
-    position.announce(UR10, {"ab": 9, "cd": 9})
-    for now in (0.0, 2.9, 3.0, 6.0):
-        asked.append(position.request(UR10, now))
-    assert asked == [("ab", 1, 9), None, ("cd", 1, 9), ("ab", 1, 9)]
-    position.settle(UR10, GapAnswer("ab", 1, 9, ()))  # without its events: of no use
-    assert position.request(UR10, 6.1) is None
-    position.take(event(1))
-    assert position.request(UR10, 9.0) == ("ab", 2, 9)
+@pytest.mark.parametrize("returns", ["never", "head", "event"])
+def test_an_epoch_that_is_not_announced_is_lost_unless_it_returns_within_30_s(returns: str) -> None:
+    position = Position()
+    position.announce(UR10, {"ab": 5})
+    position.announce(UR10, {"ab": 7})
+    position.announce(UR10, {"cd": 1})  # of a new outbox, or of another rig of this name
+    answer = GapAnswer("ab", 6, 7, ((6, 7),))
+    assert not settle(position, answer, 100.0)
+    assert position.request(UR10, 103.0) == ("cd", 1, 1), "which does not wait for the other epoch"
+    if returns == "head":
+        position.announce(UR10, {"ab": 7})
+        position.announce(UR10, {"cd": 0})
+    elif returns == "event":
+        position.take(event(9))
+    lost = settle(position, answer, 131.0)
+    assert lost == (["lab/ur10: events 6 to 7 of epoch ab are lost: no longer kept"] * (returns == "never"))
+
+
+def test_requests_become_rarer_until_they_are_answered() -> None:
+    position, asked, now = Position(everything=True), list[float](), 0.0
+    position.announce(UR10, {"ab": 9})
+    while now < 200:
+        asked += [now] if position.request(UR10, now) else []
+        now += 1.0
+    assert asked == [0, 3, 9, 21, 45, 93, 153]
+    position.announce(UR10, {"ab": 9, "cd": 9})  # forged numbers hide no other epoch
+    assert [position.request(UR10, 1000.0 * turn) for turn in (1, 2)] == [("cd", 1, 9), ("ab", 1, 9)]
+    now = 2010.0
+    assert not position.settle(UR10, GapAnswer("ab", 1, 9, ()), now)  # without its events: of no use
+    assert position.request(UR10, now) is None
+    position.take(event(1))  # it is there
+    assert position.request(UR10, now)
     position.take(event(2))
-    position.settle(UR10, GapAnswer("ab", 2, 2, ()))
-    assert position.request(UR10, 9.1) == ("ab", 3, 9)
+    position.settle(UR10, GapAnswer("ab", 2, 2, ()), now)
+    assert position.request(UR10, now)
 
 
-def test_the_memory_of_a_rig_is_bounded_and_what_is_given_up_is_reported(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_forged_rigs_and_epochs_do_not_displace_a_rig_that_delivers() -> None:
+    position = Position()
+    position.announce(UR10, {"ab": 5})
+    position.take(event(6))
+    position.announce(UR10, {"ab": 9})
+    for number in range(300):
+        forged = {f"{number}-{each}": 9 for each in range(100)}
+        assert not position.announce(("lab", f"rig{number}"), forged)
+        assert not position.announce(UR10, forged)
+    assert len(position.encode()) < 2**20
+    assert len(position.rigs) < 101
+    again = Position.decode(position.encode(), "here")
+    assert again.encode() == position.encode()
+    for each in position, again:
+        assert each.has(event(6))
+        assert not each.has(event(7))
+        assert not each.announce(UR10, {"ab": 9})
+        assert missed(each) == ("ab", 7, 9)
+
+
+def test_a_position_of_the_longest_names_can_be_read_again() -> None:
+    position, wide = Position(), "\N{SNAKE}" * 62
+    epochs = {f"{wide}{number:02}": 2**63 - 1 for number in range(99)}
+    for number in range(SIZE_MAX // 20 // len(epochs)):
+        position.announce((wide, f"{wide}{number:02}"), epochs)
+    assert len(position.encode()) < FILE_MAX
+    assert Position.decode(position.encode(), "here").rigs == position.rigs
+
+
+def test_what_is_given_up_to_bound_the_memory_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(position, "AHEAD_MAX", 3)
+    monkeypatch.setattr(position, "SIZE_MAX", 49)
     here, lost = Position(everything=True), list[str]()
     for number in range(1, 11):
         lost += here.take(event(2 * number))
     assert len(lost) == 7
     assert lost[0] == "lab/ur10: event 1 of epoch ab is lost: given up after too many gaps without an answer"
-    for number in range(200):
-        here.announce(UR10, {f"{number}": 1})
-    assert here.encode().count(b'"epoch"') == position.EPOCHS_MAX
+    assert not here.take(replace(EVENT, rig="b"))
+    assert here.take(replace(EVENT, rig="c")) == ["lab/ur10: position forgotten: too many rigs and epochs"]
 
 
 @pytest.mark.parametrize(

@@ -48,11 +48,20 @@ async def test_silent_and_defective_cells_are_named(bus: EmulatedI2cBus) -> None
     assert (defective.state, defective.text.startswith("cells 4 give implausible values")) == ("bad", True)
 
 
-async def test_wrong_coefficients_are_named(bus: EmulatedI2cBus) -> None:
-    bus.fingertips[0].cells[3].registers[4:12] = bytes.fromhex("BECE B3F9 C517 33C8")
-    wrong, sound = (await found(0, 5))[1:3]
-    text = "cells 3 have coefficients that no barometer has"
-    assert (wrong.state, wrong.text.startswith(text), sound.state) == ("bad", True, "good")
+async def test_wrong_coefficients_and_pressures_are_named(bus: EmulatedI2cBus) -> None:
+    cells = bus.fingertips[0].cells
+    cells[3].registers[4:12] = bytes.fromhex("BECE B3F9 C517 33C8")
+    cells[5].overload = 300
+    wrong, far = (await found(0, 5))[1], (await found(5))[1]
+    assert (wrong.state, wrong.text.startswith("cells 3 have coefficients that no barometer has")) == (
+        "bad",
+        True,
+    )
+    assert far.state == "good"
+    cells[3].registers[4:12] = cells[0].registers[4:12]
+    far = (await found(0))[1]
+    assert far.state == "bad"
+    assert far.text.startswith("the pressure is outside 50 to 115 kPa: cell 5 136 kPa; unload the fingertip")
 
 
 async def test_a_missing_bus_or_fingertip_is_bad_with_its_remedy(bus: EmulatedI2cBus) -> None:

@@ -100,7 +100,7 @@ def test_an_unexpected_package_is_an_error_after_the_data_before_it(
 
 
 @given(st.lists(st.binary(max_size=60), min_size=1, max_size=9), st.integers(1, 300))
-def test_the_first_messages_of_the_controller_are_logged(texts: list[bytes], often: int) -> None:
+def test_messages_of_the_controller_are_counted_and_a_few_are_logged(texts: list[bytes], often: int) -> None:
     flood = b"".join(pack(Kind.TEXT, payload) for payload in texts) * often
     logged = list[str]()
 
@@ -111,9 +111,9 @@ def test_the_first_messages_of_the_controller_are_logged(texts: list[bytes], oft
     collector = Collector()
     logging.getLogger("slipflow").addHandler(collector)
     try:
-        received, _, _ = fed([*ANSWERS, flood, pack(Kind.DATA, DATA[0]), flood])
+        received, _, client = fed([*ANSWERS, flood, pack(Kind.DATA, DATA[0]), flood])
     finally:
         logging.getLogger("slipflow").removeHandler(collector)
-    assert received == DATA[0]
-    assert len(logged) == min(2 * often * len(texts), rtde.TEXTS)
+    assert (client.texts, received) == (2 * often * len(texts), DATA[0])
+    assert len(logged) == min(client.texts, rtde.TEXTS)
     assert all(line.isprintable() for line in logged)

@@ -144,7 +144,7 @@ async def test_after_a_restart_the_run_goes_on_with_a_gap_and_a_new_epoch(
             loop.call_later(time, lambda: here.controller.clients[-1].send(Kind.TEXT, b"\2hi\4RTDE\1"))
 
     with caplog.at_level(logging.INFO, "slipflow"):
-        run, sink, _ = await live(restart, 22)
+        run, sink, here = await live(restart, 22)
     [gap] = run.sources["motion"].gaps
     assert 0 < gap.end - gap.start < 0.3 * s
     events = "controller", "controller", "motion failed, retrying", "motion works again", "controller"
@@ -156,6 +156,7 @@ async def test_after_a_restart_the_run_goes_on_with_a_gap_and_a_new_epoch(
         began = motion.time[first] - motion.device_time[first]
         shown = motion.time[first:stop] - began - motion.device_time[first:stop] / (1 + 50e-6)
         assert np.abs(shown).max() < 0.3 * ms  # until the drift is known, after 5 s
+    assert here.source.describe()["messages"] == 3
 
 
 # --- parameters ---

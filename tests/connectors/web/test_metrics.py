@@ -65,7 +65,7 @@ async def test_other_machines_need_the_token_but_not_for_the_probes(
     wide = Metrics(0, "0.0.0.0")  # noqa: S104 - what is tested
     with pytest.raises(ParameterError, match="from 0 to 65535"):
         Metrics(65536)
-    with pytest.raises(ParameterError, match=r"Metrics: host is '0.0.0.0', must be 127.0.0.1 .* unless"):
+    with pytest.raises(ParameterError, match="Metrics: token is None, must be set"):
         await wide.open(run)
     monkeypatch.setenv(TOKEN, "0123456789abcdef")
     await wide.open(run)
@@ -90,10 +90,11 @@ async def test_sources_and_sinks_are_those_of_the_runner(run: Run) -> None:
     mqtt = SinkStatus(rows=7, queued=2, waiting=4, unstored=1, dropped=5, failures=3, error="host: refused")
     run.sinks["mqtt"], run.sinks["dataset"] = mqtt, SinkStatus(rows=9, unstored=6)
     run.clock_steps.append(ClockStep(NOW, -2 * s))
-    touch: dict[str, Any] = {"rows_total": 500, "lag_seconds": 0.03, "up": 1}
-    other = {"up": 0, "failures_total": 4}
+    touch: dict[str, Any] = {"rows_total": 500, "late_rows_total": 3, "lag_seconds": 0.03, "up": 1}
+    other = {"up": 0, "failures_total": 4, "gaps_total": 1}
     sink = {"up": 0, "rows_total": 7, "queued_batches": 2, "dropped_rows_total": 5, "waiting_rows": 4}
     expected = {
+        key("run_info", session="run1", flow="live"): 1,
         **{key(f"source_{name}", source="touch"): value for name, value in touch.items()},
         **{key(f"source_{name}", source=strange): value for name, value in other.items()},
         **{key(f"sink_{name}", sink="mqtt"): value for name, value in sink.items()},
