@@ -20,12 +20,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import floor
 from types import FunctionType
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
 from operators.batch import BAROMETERS, Batch, packed_type
-from operators.errors import ParameterError
 
 Record: TypeAlias = Any  # its fields are attributes
 Values: TypeAlias = Mapping[str, Any]  # numbers and arrays
@@ -70,19 +69,8 @@ class Steps:
     factor: int = 1
 
     def functions(self) -> list[FunctionType]:
-        """Return all functions.
-
-        Raises:
-            ParameterError: if they are neither one step nor `takes` and `give`, or one is a method.
-        """
-        given = [*self.takes, *(each for each in (self.step, self.give) if each is not None)]
-        found: list[Any] = [getattr(each, "py_func", each) for each in given]
-        for each in found:
-            if not isinstance(each, FunctionType):  # such as a method
-                raise ParameterError("Steps", "function", each, "a function of a module: def measure(...)")
-        if (self.step is None) == (self.give is None) or (self.give is None) != (not self.takes):
-            raise ParameterError("Steps", "number of functions", len(found), "one step, or takes and give")
-        return found
+        """Return all functions."""
+        return [cast("FunctionType", each) for each in (*self.takes, self.step, self.give) if each]
 
 
 def record_type(values: Values) -> np.dtype[Any]:
@@ -90,21 +78,10 @@ def record_type(values: Values) -> np.dtype[Any]:
 
     >>> record_type({"length": 3, "level": 0.5}).names
     ('length', 'level')
-
-    Raises:
-        ParameterError: if a name is one of numpy's, which hides the value in plain Python, or a value is
-            not of 64 bits.
     """
     fields: list[Any] = []
     for name, value in values.items():
-        if hasattr(np.record, name):
-            raise ParameterError("Steps", "name of a value", name, "none of numpy's: choose another one")
-        try:
-            array = np.asarray(value)
-        except ValueError:  # lists of several lengths
-            array = np.empty(0, np.object_)
-        if array.dtype in (np.object_, np.uint64):
-            raise ParameterError("Steps", name, value, "a number of 64 bits, or an array of these")
+        array = np.asarray(value)
         kind = np.dtype(np.uint8) if array.dtype == np.bool_ else array.dtype
         fields.append((name, kind, array.shape))
     return np.dtype(fields or [("none", np.uint8)], align=True)

@@ -36,7 +36,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, Any]]:
     return make
 
 
-@pytest.mark.parametrize("operator", [0, 1], ids=["process", "steps"])
+@pytest.mark.parametrize("operator", [0, 1], ids=["ActiveRows", "MeasureActivity"])
 @pytest.mark.parametrize(
     "name", [name for name in OWED if "case" in inspect.signature(getattr(test_conformance, name)).parameters]
 )

@@ -112,7 +112,7 @@ class Sender:
                 pauses.connected()
                 if pauses.brief > 1:
                     log.error(_SHARED_NAME, self._broker, self._topic)
-                if failure:
+                elif failure:
                     log.info("%s: connected again, %d events pending", self._broker, self._outbox.waiting)
                 failure = ""
                 while await self._send_pending(link) or not self._closing:

@@ -135,8 +135,7 @@ class SimulatedRig:
             await clock.sleep_until(origin + round((number / timing.rate + timing.latency) * s))
             if (batch := take()) is None:
                 return
-            if len(batch):
-                yield batch.later(origin)
+            yield batch.later(origin)
 
     def _sampler(self, kind: type[Batch]) -> Callable[[], Any]:
         """Return a function that gives the next sample of a stream; None at the end of the plan."""

@@ -47,7 +47,8 @@ def required_token(what: str, host: str) -> str | None:
     """
     token = os.environ.get(TOKEN) or None
     if token is None and not is_loopback(host):
-        raise ParameterError(what, "token", None, f"set in {TOKEN} if other machines can connect")
+        must_be = f"127.0.0.1 (only this machine connects) unless {TOKEN} has a token"
+        raise ParameterError(what, "host", host, must_be)
     if token is not None and not _TOKEN.fullmatch(token):
         must_be = "16 to 256 letters, digits, '.', '_', '~' or '-', for example from: openssl rand -hex 16"
         raise ParameterError(what, "token", "...", must_be)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Final, cast
+from typing import Final
 
 import numpy as np
 import pytest
@@ -15,7 +15,6 @@ from operators import (
     Join,
     Motion,
     Operator,
-    ParameterError,
     Sample,
     Scores,
     Slips,
@@ -25,12 +24,11 @@ from operators import (
     concat,
     ms,
     s,
-    segment,
 )
 from operators.batch import Reals, Times
 from operators.operator import AnyOperator
 from operators.program import BLOCK
-from operators.steps import Record, RowType, Steps, copy, record_type
+from operators.steps import Record, RowType, Steps, copy
 from tests.operators import test_conformance as suite
 from tests.storage.made import same
 
@@ -152,17 +150,6 @@ def test_two_inputs_with_more_rows_than_a_call_takes_come_in_the_order_of_time(r
     np.testing.assert_array_equal(samples.velocity[:, 0], touch.time // (s // 400) / 1e5)
 
 
-@dataclass
-class _Stepping(Operator[Scores, Scores]):
-    given: Steps | None = None
-
-    def steps(self, *given: RowType) -> Steps | None:
-        return self.given
-
-    def step(self, settings: Record, state: Record, row: Record, out: Record) -> bool:
-        return False
-
-
 def _take(settings: Record, state: Record, row: Record) -> None:
     state.left = settings.copies
 
@@ -173,73 +160,6 @@ def _give(settings: Record, state: Record, out: Record) -> bool:
     state.left -= 1
     out.time, out.probability = state.left, 0.5
     return True
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"size": 0}, "name of a value is 'size', must be none of numpy's"),
-        ({"limit": None}, "limit is None, must be a number of 64 bits"),
-        ({"table": {}}, "table is {}, must be a number"),
-        ({"big": 2**64}, f"big is {2**64}, must be a number"),
-        ({"big": 2**63}, f"big is {2**63}, must be a number"),
-        ({"rows": [[1], [1, 2]]}, r"rows is \[\[1\], \[1, 2\]\], must be a number"),
-    ],
-)
-def test_a_value_that_no_step_can_keep_is_refused_by_its_name(values: Any, message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        record_type(values)
-
-
-@pytest.mark.parametrize(
-    ("steps", "message"),
-    [
-        (Steps(), "number of functions is 0, must be one step, or takes and give"),
-        (Steps(takes=(_take,)), "number of functions is 1"),
-        (Steps(step=_Stepping().step), "function is <bound method .*, must be a function of a module"),
-    ],
-)
-def test_functions_that_are_no_steps_are_refused(steps: Steps, message: str) -> None:
-    with pytest.raises(ParameterError, match=f"^Steps: {message}"):
-        _Stepping(steps).push(Scores.zeros(1))
-
-
-LIMIT = 1.0
-
-
-def _scaled(settings: Record, state: Record, row: Record, out: Record) -> bool | None:
-    state.ended += 1
-    if row.probability < 0.5:
-        return None
-    out.time, out.probability = row.time, row.probability * LIMIT
-    return True
-
-
-def _divided(settings: Record, state: Record, row: Record, out: Record) -> bool:
-    out.time, out.probability = row.time, int(row.time) // (int(row.time) - 1)
-    return True
-
-
-@pytest.fixture(params=["compiled", "Python"])
-def _each_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if request.param == "Python":
-        monkeypatch.setattr(segment, "compiler", lambda: None)
-
-
-@pytest.mark.usefixtures("_each_way")
-def test_a_step_without_a_result_has_no_row_and_reads_new_globals(monkeypatch: pytest.MonkeyPatch) -> None:
-    scores = Scores.rows([0, 1, 2], [0.1, 0.5, 0.75])
-    for limit in (1.0, 2.0):
-        monkeypatch.setitem(globals(), "LIMIT", limit)
-        step: Any = _Stepping(Steps(state={"ended": 0}, step=cast("Any", _scaled)))
-        assert (step.push(scores).probability / limit).tolist() == [0.5, 0.75]
-        assert not len(step.flush())
-
-
-@pytest.mark.usefixtures("_each_way")
-def test_division_by_zero_in_a_step_is_an_error() -> None:
-    with pytest.raises(ZeroDivisionError):
-        _Stepping(Steps(step=_divided)).push(Scores.zeros(2).later(1))
 
 
 class _Copies(Operator[Scores, Scores]):

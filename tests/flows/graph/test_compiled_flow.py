@@ -163,22 +163,11 @@ class Unready(Operator[Scores, Scores]):
         raise OSError("no weights")
 
 
-class Unlimited(Operator[Scores, Scores]):
-    def steps(self, *given: RowType) -> Steps:
-        return Steps({"limit": None}, step=too_high)
-
-
-@pytest.mark.parametrize(
-    ("kind", "reason"),
-    [
-        (Unready, rf"OSError: no weights \({FILE}:\d+\)$"),
-        (Unlimited, "Steps: limit is None, must be a number"),
-    ],
-)
-def test_an_operator_that_cannot_start_is_named(kind: type[Operator[Scores, Scores]], reason: str) -> None:
+def test_an_operator_that_cannot_be_prepared_is_named() -> None:
     flow = Flow("f")
-    (flow.source(TestSource(Scores)) | kind() | Debounce()).to(TestSink())
-    with pytest.raises(OperatorError, match=rf"^flow 'f': {kind.__name__}: {reason}"):
+    (flow.source(TestSource(Scores)) | Unready() | Debounce()).to(TestSink())
+    reason = r"Unready: OSError: no weights \(test_compiled_flow\.py:\d+\)$"
+    with pytest.raises(OperatorError, match=rf"^flow 'f': {reason}"):
         CompiledFlow(flow)
 
 
