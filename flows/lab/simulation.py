@@ -63,6 +63,9 @@ class PlannedRecording:
     start: int  # ns since 1970-01-01 UTC
     split: str
 
+    def __str__(self) -> str:
+        return self.session
+
 
 def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
     """Return the recordings of a plan, in order.

@@ -9,6 +9,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from scipy.special import expit, logit
 
+from flows.learn.evaluation.folds import repeated
 from flows.learn.event_metrics import debounce_settings, tuned_on
 from flows.learn.labelled_recordings import (
     LabelledRecording,
@@ -111,19 +112,25 @@ def train(
         log: Receives the number of labels by hand, before the training.
 
     Raises:
-        InputError: if the train extra is missing or a dataset cannot be read; with `start` if that is no tcn,
-            or the recordings are too short or lack slip or static.
-        ParameterError: if a parameter is out of range, or the datasets lack a split or labels to judge by.
+        InputError: if the train extra is missing, a dataset cannot be read or a recording is in two splits;
+            with `start` if that is no tcn, or the recordings are too short or lack slip or static.
+        ParameterError: if a parameter is out of range, `out` is the file of `start`, or the datasets lack a
+            split or labels to judge by.
         FingertipError: if the recordings have different fingertips, or the network is for another one.
         OSError: if the model cannot be written.
     """
     require_extra("train", "train")
     if out.suffix != ".safetensors":
         raise ParameterError("train", "out", str(out), "a path that ends in .safetensors")
+    if start is not None and (shipped(start) or Path(start)).resolve() == out.resolve():
+        must_be = "another file than --from, which it is compared with and may have to be kept"
+        raise ParameterError("train", "out", str(out), must_be)
     parent = None if start is None else load_detector(start)
     if not isinstance(parent, Tcn | None):
         raise InputError(str(start), "is not a tcn: only a tcn can be trained further")
     recordings = load(*datasets)
+    if twice := repeated(recordings, [each.split for each in recordings]):
+        raise InputError("train", f"{twice[0]}: give each recording once")
     if by_hand := hand_label_summary(recordings):
         log(by_hand)
     fingertip = common_fingertip(recordings)

@@ -103,11 +103,6 @@ def test_the_longest_gradient_of_an_array_bounds_its_step() -> None:
     assert np.abs(bound - at_rest).max() < 1e-6 < np.abs(free - at_rest).max()
 
 
-def test_an_unknown_network_is_refused() -> None:
-    with pytest.raises(ParameterError, match=r"network is 'lstm', must be one of frequency_cnn, paper_tcn"):
-        PaperRecipe("lstm", 1)
-
-
 def test_a_window_ends_at_its_label_and_stays_within_its_noise() -> None:
     recordings = [_noise(0, 150), _noise(1, 99), _noise(2, 230)]
     windows = Windows(recordings, CPU)
