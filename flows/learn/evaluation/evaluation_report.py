@@ -84,13 +84,7 @@ def stress_report(of: Evaluation, command: str) -> Report:
     nominal = replace(of, results=of.results.filter(condition=NOMINAL))
     chosen = {**BALANCED, **EVENTS, f"{SLIDING}balanced %": AGAINST_SLIDING[f"{SLIDING}balanced %"]}
     sections = [
-        Section(
-            "stress",
-            "Balanced accuracy under stress",
-            STRESS_TEXT,
-            draw=lambda: figures.stress_panels(balanced),
-        ),
-        Section("stress-levels", "Every level", "", [_by_level(balanced, "method")], folded=True),
+        Section("stress", "Balanced accuracy under stress", STRESS_TEXT, [_by_level(balanced, "method")]),
         Section(
             "stress-events",
             f"Events of {of.leader} under stress",

@@ -15,7 +15,6 @@ from flows.learn.training.paper_training import PaperNetwork, Windows, paper_net
 from flows.learn.training.recipe import PaperRecipe
 from flows.learn.training.trained_model import Arrays
 from flows.learn.training.training_loop import Trained
-from operators import ParameterError
 from operators.detectors import Detector, PaperTcn
 from operators.detectors.frequency_cnn import FrequencyCnn
 from operators.errors import InputError
