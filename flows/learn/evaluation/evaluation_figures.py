@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 
 from flows.learn.evaluation.published import TABLE_1
-from flows.report.figures import FAINT, GROUND, MAIN, MORE, SOFT, WIDTH, Figure, grid
+from flows.report.figures import FAINT, GROUND, MAIN, MORE, SOFT, WIDTH, Figure
 
 _TICKS: Final = (50, 60, 70, 80, 85, 90, 92, 94, 96, 98, 99)  # %
 
@@ -30,7 +30,11 @@ def chart(points: pl.DataFrame, front: Collection[str]) -> Figure:
         points: Columns ``method``, ``us/sample`` and ``accuracy %``, from fast to slow; some are known.
         front: Methods on the Pareto front, which are filled.
     """
-    figure, (axis,) = grid(1, 1, (WIDTH, 5.6))
+    from matplotlib import figure as matplotlib
+
+    figure: Figure = matplotlib.Figure(figsize=(WIDTH, 5.6), layout="constrained")
+    figure.get_layout_engine().set(h_pad=0.08)  # inches
+    axis = figure.subplots()
     errors = points.select("method", "us/sample", 100 - pl.col("accuracy %")).drop_nulls()
     rows = errors.rows()
     low, high = min(us for _, us, _ in rows) / 2, max(us for _, us, _ in rows) * 4

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flows.report.figures import Figure, grid
+from flows.report.figures import Figure
 from flows.report.report_page import Report, Section, check_output_folder
 from flows.report.table import Table
 from operators.errors import EndpointError
@@ -18,7 +18,10 @@ TABLE = Table(["method", "F1 < 90"], [["<b>tcn</b>", "1 & 2"], ["psd", 3.25]], c
 
 
 def figure() -> Figure:
-    drawn, (axis,) = grid(1, 1, (2, 2))
+    from matplotlib import figure as matplotlib
+
+    drawn: Figure = matplotlib.Figure(figsize=(2, 2))
+    axis = drawn.subplots()
     axis.plot([0, 1], label="x")
     axis.set(title="A <title>", xlabel="x")
     axis.imshow([[0, 1], [1, 0]])
