@@ -40,7 +40,6 @@ EVENTS_TEXT: Final = (
     "debounce is that of the model card, or has the least delay on the validation split within 2 false "
     "alarms per static minute and 2 % missed slips."
 )
-_EVENTS_MIN: Final = "events/min"
 MOTIONS_TEXT: Final = "F1, %, by motion and surface, as in the paper's Table III (cylinders by axis)."
 SLIDING_TEXT: Final = (
     "True sliding: the contact has moved by 0.45 mm or more in 150 ms (3 mm/s); between that and rest, "
@@ -99,7 +98,7 @@ def size_text(of: Evaluation) -> str:
 
 def _detectors(of: Evaluation) -> Section:
     """Return the section that answers which detector is best."""
-    statistics = {**BALANCED, **{name: each for name, each in EVENTS.items() if name != _EVENTS_MIN}}
+    statistics = {**BALANCED, **{name: each for name, each in EVENTS.items() if name != "events/min"}}
     table = estimate_table(estimates(of.results, statistics), DECIMALS, intervals=[*statistics])
     return Section("detectors", "Detectors", DETECTORS_TEXT, [table])
 
@@ -115,12 +114,12 @@ def _samples(of: Evaluation) -> Section:
 
 def _events(of: Evaluation) -> Section:
     """Return the section with the debounce of each method."""
-    rates = estimates(of.results, {_EVENTS_MIN: EVENTS[_EVENTS_MIN]}, draws=0)
+    rates = estimates(of.results, {"events/min": EVENTS["events/min"]}, draws=0)
     rows: list[list[Value]] = []
     for name, rate in rates.select("method", "value").rows():
         rule = of.methods[name].debounce or Debounce()
         rows.append([name, rate, rule.threshold, rule.consecutive, rule.release, of.methods[name].chosen_on])
-    head = ["method", _EVENTS_MIN, "threshold", "decisions on", "decisions off", "from"]
+    head = ["method", "events/min", "threshold", "decisions on", "decisions off", "from"]
     return Section(
         "events", "Debounce", EVENTS_TEXT, [Table(head, rows, decimals={"threshold": 3})], folded=True
     )

@@ -68,18 +68,6 @@ def group_folds(recordings: Sequence[LabelledRecording], groups: Collection[str]
     return [_group_fold(recordings, group) for group in chosen]
 
 
-def repeated(recordings: Sequence[LabelledRecording], parts: Sequence[str]) -> list[str]:
-    """Return a line for each recording that appears in two parts, such as splits, of a dataset."""
-    first, lines = dict[str, tuple[str, str]](), list[str]()
-    for recording, part in zip(recordings, parts, strict=True):
-        if not len(recording):
-            continue
-        name, other = first.setdefault(recording.content, (recording.name, part))
-        if other != part:
-            lines.append(f"{recording.name} ({part}) is the same recording as {name} ({other})")
-    return lines
-
-
 def _group_fold(recordings: Sequence[LabelledRecording], group: str) -> Fold:
     """Hold out a group; every fifth session of the others validates, those with slip counted first.
 

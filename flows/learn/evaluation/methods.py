@@ -140,8 +140,6 @@ def _trained_tcn(recipe: Recipe, fold: Fold) -> Detector:
     require_extra("train", "--train")
     from flows.learn.training.dense_training import train_dense
 
-    if not any(each.slip.any() for each in fold.train):
-        raise InputError("--train", "none of the recordings to learn from has slip")
     detector = Tcn(train_dense(fold.train, fold.validation, recipe).arrays)
     detector.fingertip = fold.train[0].fingertip
     return detector

@@ -8,7 +8,6 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from scipy.special import expit, logit
 
-from flows.learn.evaluation.folds import repeated
 from flows.learn.event_metrics import debounce_settings, tuned_on
 from flows.learn.labelled_recordings import (
     LabelledRecording,
@@ -18,7 +17,15 @@ from flows.learn.labelled_recordings import (
     load,
 )
 from flows.learn.training.recipe import REAL_TOUCH, PaperRecipe, Recipe
-from flows.learn.training.trained_model import Arrays, Model, Progress, label_scores, provenance, write_model
+from flows.learn.training.trained_model import (
+    Arrays,
+    Model,
+    Progress,
+    label_scores,
+    provenance,
+    repeated,
+    write_model,
+)
 from operators.batch import SLIP, STATIC, UNKNOWN, Flags, Reals, s
 from operators.detectors import TRAINED, Detector, Tcn
 from operators.detectors.weights import ForOneFingertip
@@ -140,8 +147,7 @@ def train(
         "recipe": asdict(recipe),
     }
     if parent is None:
-        parts = by_split(recordings)
-        arrays, results = _from_random(datasets, about["detector"], parts, recipe, progress)
+        arrays, results = _from_random(datasets, about["detector"], by_split(recordings), recipe, progress)
     else:
         assert isinstance(recipe, Recipe), "the command line trains only a tcn further"
         recipe = further(parent, recipe)
