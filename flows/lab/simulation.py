@@ -71,7 +71,7 @@ def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
     """Return the recordings of a plan, in order.
 
     >>> first = planned_recordings("tiny", seed=0)[0]
-    >>> first.session, first.scene.curvature
+    >>> str(first), first.scene.curvature
     ('plane-050-01', 'plane')
 
     Raises:
