@@ -17,6 +17,7 @@ from operators.batch import UNKNOWN, Codes, Flags, Reals, Times
 FAR: Final = 100.0  # ms from any change of the label
 AHEAD: Final = 150 * ms  # ns, largest lead over the arm-speed label; the arm's velocity is later than touch
 SLIDING: Final = "sliding: "  # prefix of metrics and statistics against true sliding
+_BINS: Final = 10  # of the probability, for the calibration error
 _FAR: Final = "far: "  # prefix of the confusion far from any change of the label
 _CONFUSION: Final = ("static as static", "static as slip", "slip as static", "slip as slip")  # label, answer
 _SLIP, _STATIC = "probability if slip", "probability if static"
@@ -104,10 +105,7 @@ def judged(
     if not condition:
         far = known & (distance(recording.label, true.places, recording.sampling) >= FAR)
         found |= _confusion(recording, predicted, far, _FAR)
-        found |= {
-            _SLIP: probability[known & recording.slip],
-            _STATIC: probability[known & ~recording.slip],
-        }
+        found |= _distribution(probability[known], recording.slip[known])
     if recording.sliding is not None:
         other = replace(recording, label=recording.sliding)
         found |= _confusion(other, predicted, _known(other, probability), SLIDING)
@@ -183,6 +181,17 @@ def _events(true: TrueSlips, raised: Times, prefix: str = "") -> _Found:
     }
 
 
+def _distribution(probability: Reals, slip: Flags) -> _Found:
+    """Return what the area under the ROC curve and the calibration error are computed from."""
+    bins = np.minimum((probability * _BINS).astype(np.intp), _BINS - 1)
+    gaps = np.bincount(bins, probability - slip, _BINS).tolist()
+    return {
+        _SLIP: probability[slip],
+        _STATIC: probability[~slip],
+        **{f"gap {number}": gap for number, gap in enumerate(gaps)},
+    }
+
+
 def _of_confusion(compute: Callable[[Reals], Reals], prefix: str = "") -> Statistic:
     """Return a statistic of confusions (..., 2, 2)."""
 
@@ -191,6 +200,11 @@ def _of_confusion(compute: Callable[[Reals], Reals], prefix: str = "") -> Statis
         return compute(counts.reshape(*counts.shape[:-1], 2, 2))
 
     return of_sums(of)
+
+
+def _calibration(total: Callable[[str], Reals]) -> Reals:
+    gaps = sum(np.abs(total(f"gap {number}")) for number in range(_BINS))
+    return 100 * ratio(np.asarray(gaps), sum((total(name) for name in _CONFUSION), np.zeros(1)))
 
 
 def _event_statistics(prefix: str = "") -> dict[str, Statistic]:
@@ -211,6 +225,7 @@ SAMPLES: Final[Mapping[str, Statistic]] = {
     **BALANCED,
     "far %": _of_confusion(balanced, _FAR),  # balanced accuracy
     "AUC %": area(_SLIP, _STATIC),
+    "calibration error %": of_sums(_calibration),
 }
 EVENTS: Final[Mapping[str, Statistic]] = {"events/min": share("events", "minutes"), **_event_statistics()}
 AGAINST_SLIDING: Final[Mapping[str, Statistic]] = {

@@ -33,7 +33,8 @@ DETECTORS_TEXT: Final = (
 )
 SAMPLES_TEXT: Final = (
     "Accuracy, precision and F1 as in the paper's Table I: averages over both classes, weighted by their "
-    "share. Far: balanced accuracy 100 ms or more from any change of the label."
+    "share. Far: balanced accuracy 100 ms or more from any change of the label. Calibration error: mean "
+    "distance between probability and share of slip in ten bins."
 )
 EVENTS_TEXT: Final = (
     "An event from 50 ms before a slip to 150 ms after it detects the slip; others are false alarms. The "

@@ -20,7 +20,7 @@ from flows.learn.measures import (
     judged,
     precision,
 )
-from flows.report.results import estimates
+from flows.report.results import estimates, joined
 from flows.report.results import median as median_of
 from operators import Debounce
 from operators.batch import Codes, Reals
@@ -69,6 +69,19 @@ def test_samples_without_a_label_or_an_answer_do_not_count() -> None:
     assert sums["minutes"] == pytest.approx(5.01 / 60)
     far = sum(place // 10 not in (19, 20, 39) for place in range(150, 400))
     assert sums["far: static as slip"] + sums["far: slip as slip"] == far
+
+
+def test_the_calibration_error_is_that_of_all_samples_together() -> None:
+    def constant(slips: int) -> LabelledRecording:
+        codes = np.zeros(599, np.int8)
+        codes[99 : 99 + slips] = 1
+        return recorded(codes, name=str(slips))
+
+    recordings = [constant(slips) for slips in (50, 100, 150, 200, 250)]  # 10 to 50 % slip
+    results = joined(judged(each, np.full(599, 0.3), TWICE, method="psd") for each in recordings)
+    [found] = estimates(results, {"error": SAMPLES["calibration error %"]}).rows(named=True)
+    assert found["value"] == pytest.approx(0)
+    assert 0 < found["high"] < 20  # draws of recordings have other shares of slip
 
 
 def test_a_recording_without_static_or_slip_has_no_balanced_accuracy() -> None:
