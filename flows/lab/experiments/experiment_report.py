@@ -73,7 +73,7 @@ def experiment_report(experiment: str, results: pl.DataFrame, trials: Trials, co
     sections = [
         Section(experiment, "Success and false slips", _NOTES, [table]),
         Section("objects", "Success by object, %", "", _objects(experiment, nominal, trials)),
-        Section("failures", "Trials by ending", "", [_endings(nominal)], folded=True),
+        Section("failures", "Trials by ending", "", [_endings(nominal)]),
     ]
     if len(results) > len(nominal):
         sections.append(_breaking_points(results))
@@ -109,4 +109,4 @@ def _breaking_points(results: pl.DataFrame) -> Section:
         "One setting differs from nominal: factors of friction and mass; added delay of the gripper in s; "
         "sample rate in Hz."
     )
-    return Section("stress", "Where each method breaks", note, [table], folded=True)
+    return Section("stress", "Where each method breaks", note, [table])

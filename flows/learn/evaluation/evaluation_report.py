@@ -110,7 +110,7 @@ def _samples(of: Evaluation) -> Section:
     table = estimate_table(estimates(of.results, shown, draws=0), DECIMALS)
     paper = {name: TABLE_1.get(PAPER_ROWS.get(name, "")) for name in of.methods}
     tables = [_with_column(table, 2, "paper's %", paper) if of.as_paper else table]
-    return Section("samples", "Samples: Table I", SAMPLES_TEXT, tables, folded=True)
+    return Section("samples", "Samples: Table I", SAMPLES_TEXT, tables)
 
 
 def _events(of: Evaluation) -> Section:
@@ -121,9 +121,7 @@ def _events(of: Evaluation) -> Section:
         rule = of.methods[name].debounce or Debounce()
         rows.append([name, rate, rule.threshold, rule.consecutive, rule.release, of.methods[name].chosen_on])
     head = ["method", "events/min", "threshold", "decisions on", "decisions off", "from"]
-    return Section(
-        "events", "Debounce", EVENTS_TEXT, [Table(head, rows, decimals={"threshold": 3})], folded=True
-    )
+    return Section("events", "Debounce", EVENTS_TEXT, [Table(head, rows, decimals={"threshold": 3})])
 
 
 def _groups(of: Evaluation) -> Section:
@@ -149,7 +147,7 @@ def _speed(of: Evaluation) -> Section:
 def _sliding(of: Evaluation) -> Section:
     statistics = {name.removeprefix(SLIDING): each for name, each in AGAINST_SLIDING.items()}
     table = estimate_table(estimates(pl.concat([of.label, of.results]), statistics, draws=0), DECIMALS)
-    return Section("sliding", "True sliding", SLIDING_TEXT, [table], folded=True)
+    return Section("sliding", "True sliding", SLIDING_TEXT, [table])
 
 
 def _motions(of: Evaluation) -> list[Section]:
@@ -167,7 +165,7 @@ def _motions(of: Evaluation) -> list[Section]:
     head = ["motion", *SURFACES, "all"]
     paper = Table(head, [*rows, ["any", *TABLE_3_ANY, None]], "the paper's TCN, real recordings")
     title = "Motions and surfaces: Table III"
-    return [Section("motions", title, MOTIONS_TEXT, [ours, paper], folded=True)]
+    return [Section("motions", title, MOTIONS_TEXT, [ours, paper])]
 
 
 def _with_column(table: Table, place: int, name: str, values: Mapping[str, Value]) -> Table:

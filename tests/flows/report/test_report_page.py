@@ -30,7 +30,7 @@ def figure() -> Figure:
 
 def report() -> Report:
     sections = [Section(name, f"{name} & so <on>", "text", [TABLE], figure) for name in ("one", "two")]
-    sections.append(Section("three", "detail", "text", [TABLE], folded=True))
+    sections.append(Section("three", "detail", "text", [TABLE]))
     return Report("A <page>", "of & findings", sections, "slipflow evaluate 'a<b>'")
 
 
