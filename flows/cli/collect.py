@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from flows.lab.collection.collector import Collector
     from flows.lab.collection.stroke_plan import CollectionPlan, PlannedPath
 
-DOWN = (0.0, 0.0, 0.0, 3.141592653589793, 0.0, 0.0)  # pose of a surface without one, for the simulated arm
+DOWN = (0.0, 0.0, 0.0, 3.141592653589793, 0.0, 0.0)  # pose of a surface without one, if the arm's is unknown
 
 
 def collect(
@@ -58,8 +58,8 @@ def collect(
     if show:
         typer.echo(plan_text(plan)[1], nl=False)
         return
-    if robot is None and not virtual:
-        raise typer.BadParameter("give --robot HOST, or --virtual for the simulated arm")
+    if robot is None and not virtual and not dry_run:
+        raise typer.BadParameter("give --robot HOST, or --virtual for the simulated arm, or --dry-run")
     begin_log()
     chosen = load_plan(plan)
     if dry_run:
@@ -73,7 +73,7 @@ def collect(
 
 
 async def _planned(plan: "CollectionPlan", robot: str | None, *, virtual: bool) -> "PlannedPath":
-    """Return the path from the arm's pose."""
+    """Return the path from the arm's pose, if known."""
     from connectors.sim.simulated_arm import start_pose
     from connectors.ur.ur_state import read_state
     from flows.lab.collection.stroke_plan import PlannedPath
@@ -81,9 +81,13 @@ async def _planned(plan: "CollectionPlan", robot: str | None, *, virtual: bool) 
 
     if virtual:
         return PlannedPath.of(plan, DOWN, start_pose(plan.surfaces[0].pose or DOWN))
-    assert robot
-    here: Pose = (await read_state(LoopClock(), robot)).pose
-    return PlannedPath.of(plan, here, here)
+    if robot is not None:
+        here: Pose = (await read_state(LoopClock(), robot)).pose
+        return PlannedPath.of(plan, here, here)
+    note("without --robot or --virtual the arm's pose is unknown: the path starts above the surface")
+    if any(each.pose is None for each in plan.surfaces):
+        note("and the surface is placed at the origin of the base frame")
+    return PlannedPath.of(plan, DOWN)
 
 
 async def _collect(

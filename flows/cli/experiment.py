@@ -37,7 +37,7 @@ def experiment(
         ),
     ] = None,
     stress: Annotated[
-        bool, typer.Option("--stress", help="Also vary friction, mass, delay and sample rate.")
+        bool, typer.Option("--stress", help="Also vary friction, mass, delay, sample rate and stiffness.")
     ] = False,
     jobs: Jobs = None,
     cluster: Cluster = None,

@@ -28,6 +28,7 @@ class Section:
     text: str  # how it was measured
     tables: Sequence[Table] = ()
     draw: Callable[[], Figure] | None = None  # called at most once, and only if matplotlib is installed
+    folded: bool = False  # in HTML, until a reader opens it
 
     @cached_property
     def svg(self) -> str:

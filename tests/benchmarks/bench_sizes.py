@@ -24,7 +24,7 @@ from flows.learn.evaluation.evaluation_study import evaluate
 from flows.learn.measures import SAMPLES, SHARES
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trainer import train
-from flows.report.figures import FAINT, MAIN, WIDTH, Figure, svg
+from flows.report.figures import FAINT, MAIN, WIDTH, Figure, grid, svg
 from flows.report.results import estimates
 from flows.report.table import Table
 from operators import Debounce, Score, Touch, Zero, ms
@@ -100,11 +100,7 @@ def held_objects(models: Sequence[Path], trials: int, executor: Executor) -> lis
 def chart(table: Table) -> Figure:
     """Draw each measure over the cost: windows of 2 s filled, of 1 s hollow."""
     heads = [name for name in table.head[1:] if name != COST]
-    from matplotlib import figure as matplotlib
-
-    rows = -(-len(heads) // 4)
-    figure: Figure = matplotlib.Figure(figsize=(WIDTH, 2.4 * rows), layout="constrained")
-    axes = figure.subplots(rows, 4, squeeze=False).flat
+    figure, axes = grid(-(-len(heads) // 4), 4, (WIDTH, 2.4 * -(-len(heads) // 4)))
     for axis, head in zip(axes, heads, strict=False):
         for row in table.rows:
             values: Any = dict(zip(table.head, row, strict=True))

@@ -7,9 +7,10 @@ from typing import Final
 import polars as pl
 
 from flows.lab.experiments.study import NOMINAL, Trials
-from flows.lab.experiments.trial import RANDOM
+from flows.lab.experiments.tap_and_lift import SIZES
+from flows.lab.experiments.trial import PHASES, RANDOM
 from flows.report.report_page import Report, Section
-from flows.report.results import Statistic, estimate_table, estimates, median, rate
+from flows.report.results import Statistic, estimate_table, estimates, median, rate, share
 from flows.report.table import Table, Value
 
 # success of 20 trials with real objects (%), "Under Pressure" (2021)
@@ -38,12 +39,22 @@ STATISTICS: Final[Mapping[str, Statistic]] = {  # those that an experiment lacks
     "force": median("force"),
     "peak": median("peak"),
     "lead ms": median("lead"),
+    "slide mm": median("slide"),
 }
 _DECIMALS: Final = {"force": 2, "peak": 2}
+EVENTS: Final[Mapping[str, Statistic]] = {
+    **{phase: share(f"false {phase}", "trials", 100) for phase in PHASES},
+    "soft blow %": share("false_soft", "soft", 100),
+    **{f"missed {size} %": share(f"missed {size}", f"blows {size}", 100) for size in SIZES},
+}
 _NOTES: Final = (
     "Paper's: success by the paper's definition. Firm lift: share with a false slip. Medians over trials: "
-    "lead from the registered slip to the onset of sliding; force of the last second and highest "
+    "lead from the registered slip to the onset of sliding; slide; force of the last second and highest "
     "force, relative to the least that holds."
+)
+_EVENTS_NOTE: Final = (
+    "False slips per 100 firm lifts in each phase; soft blows with a false slip; blows whose slip is not "
+    "registered within 0.2 s, by size of the slide."
 )
 _TEXT: Final = (
     "Simulated trials, the same for all methods; the paper used real objects. "
@@ -70,10 +81,12 @@ def experiment_report(experiment: str, results: pl.DataFrame, trials: Trials, co
         mean = sum(real) / len(real)
         row: list[Value] = [_REAL, "six", *(mean if head == BY_PAPER else None for head in table.head[2:])]
         table = replace(table, rows=[*table.rows, row])
+    events = estimate_table(estimates(nominal, EVENTS, by=_SIDES, draws=0), {}, index=_SIDES)
     sections = [
         Section(experiment, "Success and false slips", _NOTES, [table]),
+        Section("events", "Events by phase", _EVENTS_NOTE, [events]),
         Section("objects", "Success by object, %", "", _objects(experiment, nominal, trials)),
-        Section("failures", "Trials by ending", "", [_endings(nominal)]),
+        Section("failures", "Trials by ending", "", [_endings(nominal)], folded=True),
     ]
     if len(results) > len(nominal):
         sections.append(_breaking_points(results))
@@ -103,10 +116,15 @@ def _endings(nominal: pl.DataFrame) -> Table:
 
 def _breaking_points(results: pl.DataFrame) -> Section:
     """Return the section about the conditions that differ from the nominal one."""
-    found = estimates(results, {SUCCESS: RATES[SUCCESS]}, ("condition", "objects", "method"), draws=0)
-    table = estimate_table(found, {}, index=("condition", "objects"), columns="method", caption=SUCCESS)
+    found = estimates(results, RATES, by=("condition", "objects", "method"))
+    tables = [
+        estimate_table(
+            found.filter(statistic=name), {}, index=("condition", "objects"), columns="method", caption=name
+        )
+        for name in RATES
+    ]
     note = (
-        "One setting differs from nominal: factors of friction and mass; added delay of the gripper in s; "
-        "sample rate in Hz."
+        "One setting differs from nominal: factors of friction, mass, stiffness and tilt; added "
+        "delay of the gripper in s; sample rate in Hz."
     )
-    return Section("stress", "Where each method breaks", note, [table])
+    return Section("stress", "Where each method breaks", note, tables, folded=True)

@@ -42,6 +42,8 @@ STRESS: Final[Mapping[str, Sequence[float]]] = {  # values of each setting that 
     "mass": (0.5, 1.5, 2),
     "delay": (0.05, 0.1, 0.2, 0.3),  # s
     "rate": (25, 50, 200),  # Hz
+    "stiffness": (0.5, 2, 4),
+    "tilt": (0.5, 2, 4),
 }
 
 

@@ -13,7 +13,7 @@ end.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Final, Literal, NamedTuple
@@ -33,6 +33,7 @@ TAP_END: Final = 7.0  # s
 SLIDES: Final = (1.0, 4.0)  # mm, log-uniform range of the slide that a blow is aimed at; assumed
 RINGING: Final = 0.3  # s after the object stops; slip may still be registered then
 SECONDS: Final = 0.01  # s, duration of a blow
+SIZES: Final = {"0.5 to 1 mm": (MOVED, 1.0), "1 to 2 mm": (1.0, 2.0), "above 2 mm": (2.0, math.inf)}  # slides
 SOFT: Final = 0.15  # momentum of the soft blow, relative to a drawn one
 
 LIFT: Final = Travel(2.5)  # 50 mm at 50 mm/s, assumed; the gripper closes at 1 s
@@ -83,15 +84,15 @@ def judge_tap(trace: Trace, rule: GripController) -> Outcome:
     blows = [_judge_blow(trace, rule, start, end) for start, end in pairwise((*BLOWS, TAP_END))]
     moved = [blow for blow in blows if blow.slide >= MOVED]
     soft = [blow for blow in blows if blow.still]
-    false_firm = trace.false_slip(rule)
+    false_slips = trace.false_slips(rule)
     ending = next((blow.ending for blow in blows if blow.ending != "registered"), "registered")
-    if false_firm:
+    if false_slips["false_firm"]:
         ending = "false slip"
     if trace.dropped[-1]:
         ending = "dropped"
     leads = [blow.lead for blow in moved if not math.isnan(blow.lead)]
     metrics = {
-        "false_firm": false_firm,
+        **false_slips,
         "paper": ending != "dropped" and all(blow.paper for blow in blows[1:]),
         "slide": float(np.mean([blow.slide for blow in moved])) if moved else math.nan,  # mm, mean over blows
         "lead": float(np.mean(leads)) if leads else math.nan,  # ms from the registered slip to the sliding
@@ -99,6 +100,12 @@ def judge_tap(trace: Trace, rule: GripController) -> Outcome:
         "soft": len(soft),  # blows that moved nothing
         "false_soft": sum(blow.ending == "false at soft blow" for blow in soft),
     }
+    for size, (low, high) in SIZES.items():
+        those = [blow for blow in blows if low <= blow.slide < high]
+        metrics |= {
+            f"blows {size}": len(those),
+            f"missed {size}": sum(blow.ending in {"missed", "too late"} for blow in those),
+        }
     return Outcome(ending, ending == "registered", metrics)
 
 
@@ -137,17 +144,17 @@ def lift(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> li
     weak = trial.expected_force * float(np.random.default_rng([trial.seed, 8]).uniform(*WEAK))  # N
     for detector, usual in methods:
         rule = replace(usual, force=weak, settle=usual.settle + delay)
-        false_firm = firm.scored(detector).false_slip(rule)
+        false_slips = firm.scored(detector).false_slips(rule)
         trace = control_trial(trial.grasp(LIFT), detector, rule, trial.conditions, LIFT_END)
-        found.append((trace, judge_lift(trace, rule, trial.least_force, false_firm=false_firm)))
+        found.append((trace, judge_lift(trace, rule, trial.least_force, false_slips)))
     return found
 
 
-def judge_lift(trace: Trace, rule: GripController, least: float, *, false_firm: bool) -> Outcome:
+def judge_lift(trace: Trace, rule: GripController, least: float, false_slips: Mapping[str, int]) -> Outcome:
     """Return the outcome of a lift; its forces are relative to `least`, which just holds the object (N).
 
-    Endings other than ``held``: ``false slip``, registered in the firm lift (`false_firm`) or before anything
-    slid; ``missed``, no slip registered within half a second of sliding;
+    `false_slips` are the metrics of the firm lift. Endings other than ``held``: ``false slip``, registered in
+    the firm lift or before anything slid; ``missed``, no slip registered within half a second of sliding;
     ``dropped``; ``not lifted``, hangs too low, still slides or stands on the table.
     """
     lifting = trace.between(LIFT.start, LIFT_END + 1)
@@ -163,11 +170,11 @@ def judge_lift(trace: Trace, rule: GripController, least: float, *, false_firm: 
         ending = "missed"
     else:
         ending = "dropped" if trace.dropped[-1] else "not lifted"
-    if false_firm or len(answers) < len(onsets):
+    if false_slips["false_firm"] or len(answers) < len(onsets):
         ending = "false slip"
     force = trace.force[trace.between(LIFT_END - 1, LIFT_END + 1)]
     metrics = {
-        "false_firm": false_firm,
+        **false_slips,
         "paper": held and bool(trace.registered(rule)[lifting].any()),
         "slide": float(slide.max()),  # mm
         "lead": -1000 * delay,  # ms from the first registered slip to the first sliding

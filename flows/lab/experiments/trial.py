@@ -25,6 +25,13 @@ VIBRATION: Final = 2e-5  # m, of the gripper, at 6.5 or 12 Hz as in the paper's 
 FIRM: Final = (2.6, 3.2)  # range of a firm grip's force, relative to the least; no finger slides in a lift
 FIRM_LIFT: Final = Travel(2.0)  # of a firm grip, until 3.1 s
 HELD: Final = 4.0  # s; a firm grip has been lifted and held undisturbed
+PHASES: Final = {  # s, starts of the phases of a firm lift
+    "closing": BASELINE,
+    "load transfer": FIRM_LIFT.start,
+    "cruising": FIRM_LIFT.start + 0.4,
+    "stopping": FIRM_LIFT.end - 0.1,
+    "holding": FIRM_LIFT.end + 0.3,
+}
 STILL: Final = 0.1  # mm; a shorter slide of every finger is not slip
 MOVED: Final = 0.5  # mm; a longer slide of the pad is a slip; anything between may be judged either way
 PROMPT: Final = 0.2  # s; a slip must be registered within this time
@@ -47,6 +54,8 @@ class Conditions:
     rate: float = 100.0  # Hz, of the samples
     friction: float = 1.0  # factor
     mass: float = 1.0  # factor
+    stiffness: float = 1.0  # factor of the normal contact stiffness
+    tilt: float = 1.0  # factor of the tilt stiffness of the pad
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +103,13 @@ class Trial:
         )
         position = draw_position(random, held)
         vibration = Vibration(VIBRATION, float(random.choice([6.5, 12.0])), float(random.uniform(0, 360)))
-        held = replace(held, friction=held.friction * friction, mass=held.mass * mass)
+        held = replace(
+            held,
+            friction=held.friction * friction,
+            mass=held.mass * mass,
+            stiffness=held.stiffness * conditions.stiffness,
+        )
+        fingertip = replace(fingertip, tilt_stiffness=fingertip.tilt_stiffness * conditions.tilt)
         firm = float(random.uniform(*FIRM))
         return cls(held, fingertip, seed, position, firm, vibration, conditions)
 
@@ -174,14 +189,20 @@ class Trace:
         now = self.registered(rule)
         return self.t[now & ~np.concatenate(([False], now[:-1]))]
 
-    def false_slip(self, rule: GripController) -> bool:
-        """Return whether a slip is registered in a firm lift without a slip of any finger just before."""
+    def false_slips(self, rule: GripController) -> dict[str, int]:
+        """Return the metrics of slips registered in a firm lift without a slip of any finger just before.
+
+        ``false_firm`` is 1 if there are any, ``false PHASE`` their number in each phase.
+        """
 
         def slipped(onset: float) -> bool:
             rows = self.between(onset - PROMPT, onset + 0.5 / SCANS)
             return self.travel(rows, self.fastest) >= STILL and float(self.fastest[rows].max()) > SLIDING
 
-        return any(BASELINE <= onset <= HELD and not slipped(onset) for onset in self.onsets(rule).tolist())
+        false = [onset for onset in self.onsets(rule).tolist() if not slipped(onset)]
+        counts, _ = np.histogram(false, [*PHASES.values(), HELD])
+        by_phase = {f"false {phase}": count for phase, count in zip(PHASES, counts.tolist(), strict=True)}
+        return {"false_firm": int(counts.any()), **by_phase}
 
     def travel(self, rows: slice, speed: Reals | None = None) -> float:
         """Return how far a finger slid in some samples (mm), there and back; by default the pad."""

@@ -41,6 +41,7 @@ EVENTS_TEXT: Final = (
     "debounce is that of the model card, or has the least delay on the validation split within 2 false "
     "alarms per static minute and 2 % missed slips."
 )
+_EVENTS_MIN: Final = "events/min"
 MOTIONS_TEXT: Final = "F1, %, by motion and surface, as in the paper's Table III (cylinders by axis)."
 SLIDING_TEXT: Final = (
     "True sliding: the contact has moved by 0.45 mm or more in 150 ms (3 mm/s); between that and rest, "
@@ -54,6 +55,9 @@ SPEED_TEXT: Final = (
 STRESS_TEXT: Final = (
     "Balanced accuracy, %. The recordings of all conditions differ only by the stress. For slip speed all"
     " strokes are translations at 50 mm/s, slowed down."
+)
+STRESS_EVENTS_TEXT: Final = (
+    "Events as debounced for nominal recordings, and balanced accuracy against true sliding."
 )
 
 
@@ -76,9 +80,24 @@ def evaluation_report(of: Evaluation, command: str) -> Report:
 def stress_report(of: Evaluation, command: str) -> Report:
     """Return the report of detectors under stress that `command` made."""
     balanced = estimates(of.results, BALANCED, ("condition", "method"), draws=0)
+    leader = of.results.filter(method=of.leader)
     nominal = replace(of, results=of.results.filter(condition=NOMINAL))
+    chosen = {**BALANCED, **EVENTS, f"{SLIDING}balanced %": AGAINST_SLIDING[f"{SLIDING}balanced %"]}
     sections = [
-        Section("stress", "Balanced accuracy under stress", STRESS_TEXT, [_by_level(balanced)]),
+        Section(
+            "stress",
+            "Balanced accuracy under stress",
+            STRESS_TEXT,
+            draw=lambda: figures.stress_panels(balanced),
+        ),
+        Section("stress-levels", "Every level", "", [_by_level(balanced, "method")], folded=True),
+        Section(
+            "stress-events",
+            f"Events of {of.leader} under stress",
+            STRESS_EVENTS_TEXT,
+            [_by_level(estimates(leader, chosen, ("condition",), draws=0), "statistic")],
+            folded=True,
+        ),
     ]
     return Report("Slip detectors under stress", _notes(nominal), sections, command)
 
@@ -99,7 +118,7 @@ def size_text(of: Evaluation) -> str:
 
 def _detectors(of: Evaluation) -> Section:
     """Return the section that answers which detector is best."""
-    statistics = {**BALANCED, **{name: each for name, each in EVENTS.items() if name != "events/min"}}
+    statistics = {**BALANCED, **{name: each for name, each in EVENTS.items() if name != _EVENTS_MIN}}
     table = estimate_table(estimates(of.results, statistics), DECIMALS, intervals=[*statistics])
     return Section("detectors", "Detectors", DETECTORS_TEXT, [table])
 
@@ -110,18 +129,20 @@ def _samples(of: Evaluation) -> Section:
     table = estimate_table(estimates(of.results, shown, draws=0), DECIMALS)
     paper = {name: TABLE_1.get(PAPER_ROWS.get(name, "")) for name in of.methods}
     tables = [_with_column(table, 2, "paper's %", paper) if of.as_paper else table]
-    return Section("samples", "Samples: Table I", SAMPLES_TEXT, tables)
+    return Section("samples", "Samples: Table I", SAMPLES_TEXT, tables, folded=True)
 
 
 def _events(of: Evaluation) -> Section:
     """Return the section with the debounce of each method."""
-    rates = estimates(of.results, {"events/min": EVENTS["events/min"]}, draws=0)
+    rates = estimates(of.results, {_EVENTS_MIN: EVENTS[_EVENTS_MIN]}, draws=0)
     rows: list[list[Value]] = []
     for name, rate in rates.select("method", "value").rows():
         rule = of.methods[name].debounce or Debounce()
         rows.append([name, rate, rule.threshold, rule.consecutive, rule.release, of.methods[name].chosen_on])
-    head = ["method", "events/min", "threshold", "decisions on", "decisions off", "from"]
-    return Section("events", "Debounce", EVENTS_TEXT, [Table(head, rows, decimals={"threshold": 3})])
+    head = ["method", _EVENTS_MIN, "threshold", "decisions on", "decisions off", "from"]
+    return Section(
+        "events", "Debounce", EVENTS_TEXT, [Table(head, rows, decimals={"threshold": 3})], folded=True
+    )
 
 
 def _groups(of: Evaluation) -> Section:
@@ -147,7 +168,7 @@ def _speed(of: Evaluation) -> Section:
 def _sliding(of: Evaluation) -> Section:
     statistics = {name.removeprefix(SLIDING): each for name, each in AGAINST_SLIDING.items()}
     table = estimate_table(estimates(pl.concat([of.label, of.results]), statistics, draws=0), DECIMALS)
-    return Section("sliding", "True sliding", SLIDING_TEXT, [table])
+    return Section("sliding", "True sliding", SLIDING_TEXT, [table], folded=True)
 
 
 def _motions(of: Evaluation) -> list[Section]:
@@ -165,7 +186,7 @@ def _motions(of: Evaluation) -> list[Section]:
     head = ["motion", *SURFACES, "all"]
     paper = Table(head, [*rows, ["any", *TABLE_3_ANY, None]], "the paper's TCN, real recordings")
     title = "Motions and surfaces: Table III"
-    return [Section("motions", title, MOTIONS_TEXT, [ours, paper])]
+    return [Section("motions", title, MOTIONS_TEXT, [ours, paper], folded=True)]
 
 
 def _with_column(table: Table, place: int, name: str, values: Mapping[str, Value]) -> Table:
@@ -174,9 +195,9 @@ def _with_column(table: Table, place: int, name: str, values: Mapping[str, Value
     return Table([*table.head[:place], name, *table.head[place:]], rows, decimals=table.decimals)
 
 
-def _by_level(found: pl.DataFrame) -> Table:
+def _by_level(found: pl.DataFrame, columns: str) -> Table:
     """Return a table with a row for each level of each stress field, from nominal on."""
-    table = estimate_table(found, DECIMALS, index=["condition"], columns="method")
+    table = estimate_table(found, DECIMALS, index=["condition"], columns=columns)
     cells = {str(row[0]): row[1:] for row in table.rows}
     rows: list[list[Value]] = [["nominal", None, *cells[NOMINAL]]]
     for field, value in every_condition():

@@ -107,13 +107,17 @@ class StressField:
 
     change: Change
     values: tuple[float, ...]  # nominal first, then increasing stress; a second side follows the first
-    text: str  # name in tables
+    text: str  # title of the panel
     unit: str = ""  # of the displayed value
     scale: float = 1.0  # factor from value to displayed value
 
+    def number(self, value: float) -> str:
+        """Return a value as text, without its unit."""
+        return f"{value * self.scale:.3g}"
+
     def show(self, value: float) -> str:
         """Return a value as text with its unit."""
-        return f"{value * self.scale:.3g} {self.unit}".rstrip()
+        return f"{self.number(value)} {self.unit}".rstrip()
 
     @property
     def nominal(self) -> float:

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
+from operators.checks import check_above
+
 PAPER_NETWORKS: Final = {"frequency_cnn": 6, "paper_tcn": 25}  # epochs in which each improves
 
 STRETCHED: Final = ("wide", "slow", "calm")  # plans with other hands and fingertips than the paper's
@@ -43,6 +45,9 @@ class Recipe:
 
     >>> Recipe().receptive_field
     212
+
+    Raises:
+        ParameterError: if a crop is not longer than the receptive field.
     """
 
     filters: int = 24
@@ -54,13 +59,16 @@ class Recipe:
     step_scale: float = 6.0  # counts
     steps: int = 6000  # of the optimiser
     batch: int = 48  # crops
-    crop: int = 800  # samples, more than a receptive field: a simulated grasp after one
+    crop: int = 800  # samples: a simulated grasp after a receptive field
     rate: float = 5e-3  # of AdamW, at its peak
     decay: float = 1e-2  # of AdamW
     warm_up: float = 0.1  # of the steps; a cosine follows
     checks: int = 20  # on the validation split
     seed: int = 0
     augmentation: Augmentation = field(default_factory=Augmentation)
+
+    def __post_init__(self) -> None:
+        check_above("Recipe", "crop", self.crop, self.receptive_field, "samples")
 
     @property
     def receptive_field(self) -> int:

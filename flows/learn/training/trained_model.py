@@ -29,6 +29,7 @@ class Check:
 
     done: int  # steps
     seconds: float
+    loss: float  # mean since the last check, nats
     accuracy: float  # on the validation split, %
     balanced: float  # the same, mean of the two classes, %
 

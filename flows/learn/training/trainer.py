@@ -1,7 +1,8 @@
 """`slipflow train`: train a detector on datasets, and write the model with its card."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -41,7 +42,9 @@ FURTHER_STEPS: Final = 300  # of further training
 _FURTHER_CROP: Final = 500  # evaluated samples of a crop of it
 _CERTAIN: Final = 1e-12  # distance from 0 and 1 at which logits are cut off
 _MIN_SCALE: Final = 0.01  # keeps the order of samples even if validation contradicts the network
-_LEARNED: Final = 0.7  # share of each recording, without a test split
+_FEW: Final = 5  # recordings, from which on whole ones are held out
+_SHARES: Final = {"train": 0.6, "validation": 0.2, "test": 0.2}  # of a recording that is divided in time
+_FURTHER_SHARES: Final = {"train": 0.7, "test": 0.3}  # the same, for further training
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +150,11 @@ def train(
         "recipe": asdict(recipe),
     }
     if parent is None:
-        arrays, results = _from_random(datasets, about["detector"], by_split(recordings), recipe, progress)
+        parts = by_split(recordings)
+        if len(recordings) < _FEW and not parts["validation"]:
+            parts = _in_time(parts["train"], _SHARES) | ({"test": parts["test"]} if parts["test"] else {})
+            log("few recordings: each is divided in time, which flatters the model; record five or more")
+        arrays, results = _from_random(datasets, about["detector"], parts, recipe, progress)
     else:
         assert isinstance(recipe, Recipe), "the command line trains only a tcn further"
         recipe = further(parent, recipe)
@@ -155,6 +162,19 @@ def train(
         about |= {"detector": parent.name, "parent": identify_detector(str(start)), "recipe": asdict(recipe)}
         about["data"] += load_card(shipped(str(start)) or Path(str(start))).get("data", [])
     return write_model(out, arrays, {**about, **results})
+
+
+def _in_time(
+    recordings: Sequence[LabelledRecording], shares: Mapping[str, float]
+) -> dict[str, list[LabelledRecording]]:
+    """Divide each recording in time, into consecutive splits of these shares."""
+    spans = dict(zip(shares, pairwise(accumulate(shares.values(), initial=0.0)), strict=True))
+    pieces = [
+        replace(each.piece(slice(round(begin * len(each)), round(end * len(each)))), split=split)
+        for each in recordings
+        for split, (begin, end) in spans.items()
+    ]
+    return by_split(pieces)
 
 
 def _from_random(
@@ -205,9 +225,8 @@ def _from_model(
     if not learned:
         raise InputError("train", "all recordings are in the test split: give some to learn from")
     if not held_out:
-        cuts = [round(_LEARNED * len(each)) for each in learned]
-        held_out = [each.piece(slice(cut, None)) for each, cut in zip(learned, cuts, strict=True)]
-        learned = [each.piece(slice(cut)) for each, cut in zip(learned, cuts, strict=True)]
+        parts = _in_time(learned, _FURTHER_SHARES)
+        learned, held_out = parts["train"], parts["test"]
     if not any(len(each.known(1)) for each in held_out):
         names = ", ".join(each.name for each in held_out)
         raise InputError(names, "is too short to hold out a part: record three sessions or longer ones")

@@ -183,14 +183,15 @@ def fit(task: TrainingTask, progress: Progress) -> Trained:
         task: Network to train.
         progress: Called after each step.
     """
-    began, curve = perf_counter(), list[Check]()
+    began, curve, losses = perf_counter(), list[Check](), list[Tensor]()
     arrays: Arrays = {}
     for step in range(1, task.steps + 1):
-        _step(task, step)
+        losses.append(_step(task, step))
         check = None
         if step % task.check_every == 0 or step == task.steps:
-            scores = _evaluate(task)
-            check = Check(step, perf_counter() - began, *scores)
+            scores, loss = _evaluate(task), float(np.mean([each.item() for each in losses]))
+            check = Check(step, perf_counter() - began, loss, *scores)
+            losses.clear()
             curve.append(check)
             if max(curve, key=attrgetter("balanced")) is check:  # the first of equals
                 arrays = task.network.arrays()
@@ -198,13 +199,14 @@ def fit(task: TrainingTask, progress: Progress) -> Trained:
     return Trained(arrays, tuple(curve))
 
 
-def _step(task: TrainingTask, step: int) -> None:
+def _step(task: TrainingTask, step: int) -> Tensor:
     task.network.train()
     loss = task.loss(step)
     task.optimiser.zero_grad()
     torch.autograd.backward(loss)
     task.clip()
     task.optimiser.step()
+    return loss.detach()
 
 
 def _evaluate(task: TrainingTask) -> tuple[float, float]:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flows.report.figures import Figure
+from flows.report.figures import Figure, grid
 from flows.report.report_page import Report, Section, check_output_folder
 from flows.report.table import Table
 from operators.errors import EndpointError
@@ -18,10 +18,7 @@ TABLE = Table(["method", "F1 < 90"], [["<b>tcn</b>", "1 & 2"], ["psd", 3.25]], c
 
 
 def figure() -> Figure:
-    from matplotlib import figure as matplotlib
-
-    drawn: Figure = matplotlib.Figure(figsize=(2, 2))
-    axis = drawn.subplots()
+    drawn, (axis,) = grid(1, 1, (2, 2))
     axis.plot([0, 1], label="x")
     axis.set(title="A <title>", xlabel="x")
     axis.imshow([[0, 1], [1, 0]])
@@ -30,7 +27,7 @@ def figure() -> Figure:
 
 def report() -> Report:
     sections = [Section(name, f"{name} & so <on>", "text", [TABLE], figure) for name in ("one", "two")]
-    sections.append(Section("three", "detail", "text", [TABLE]))
+    sections.append(Section("three", "detail", "text", [TABLE], folded=True))
     return Report("A <page>", "of & findings", sections, "slipflow evaluate 'a<b>'")
 
 

@@ -29,6 +29,7 @@ LOST: Metrics = {
     "paper": 0,
     "ending missed": 1,
     "false_firm": 1,
+    "false load transfer": 2,
     "slide": 30,
     "peak": 0.5,
 }
@@ -74,6 +75,11 @@ def test_rates_have_intervals_and_costs_are_medians(report: Report) -> None:
     assert (none["success %"], none["force"]) == (0, None)
     assert [(row["objects"], row["success %"]) for row in (ours, random)] == [("six", 75), ("random", 100)]
     assert (paper["method"], paper["success %"], paper["paper's %"]) == ("paper, real objects", None, 67.5)
+
+
+def test_false_slips_are_counted_by_phase(report: Report) -> None:
+    ours, none, *_ = rows(report, "events")
+    assert [ours["load transfer"], none["load transfer"], none["holding"]] == [50, 200, 0]
 
 
 def test_success_with_each_object_stands_above_the_papers(report: Report) -> None:

@@ -16,7 +16,7 @@ NEVER = StepThreshold(math.inf)  # never reports slip
 
 
 def _judge(trace: Trace, least: float = 0.9) -> Outcome:
-    return judge_lift(trace, Grip(settle=0), least, false_firm=False)
+    return judge_lift(trace, Grip(settle=0), least, {"false_firm": 0})
 
 
 def test_an_object_that_is_up_and_rests_is_held(make_trace: MakeTrace, during: During) -> None:
@@ -63,7 +63,7 @@ def test_a_false_slip_fails_a_held_object(make_trace: MakeTrace, during: During)
     assert _judge(trace).metrics["lead"] == pytest.approx(-10)
     clean = make_trace(**UP, probability=during((2.6, 2.8)), speed=during((2.6, 2.8)))
     assert _judge(clean).success
-    assert judge_lift(clean, Grip(settle=0), 0.9, false_firm=True).ending == "false slip"
+    assert judge_lift(clean, Grip(settle=0), 0.9, {"false_firm": 1}).ending == "false slip"
 
 
 def test_without_control_a_weak_grip_loses_the_object() -> None:

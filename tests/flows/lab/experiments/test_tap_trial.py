@@ -7,7 +7,7 @@ import pytest
 
 from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.study import StepThreshold
-from flows.lab.experiments.tap_and_lift import BLOWS, TAP_END, judge_tap, tap
+from flows.lab.experiments.tap_and_lift import BLOWS, SIZES, TAP_END, judge_tap, tap
 from flows.lab.experiments.trial import MOVED, STILL, Conditions, Trace, Trial
 from operators import Grip
 from tests.flows.lab.experiments.conftest import During, MakeTrace
@@ -60,6 +60,12 @@ def test_each_failure_has_its_ending_and_the_papers_definition_forgives_false_sl
 ) -> None:
     outcome = judge_tap(hit(*slip), RULE)
     assert (outcome.ending, outcome.metrics["paper"]) == (ending, paper)
+
+
+def test_missed_blows_are_counted_by_the_size_of_their_slide(hit: Callable[..., Trace]) -> None:
+    metrics = judge_tap(hit(GOOD[1], slides=[(FIRST, FIRST + 0.02), (SECOND, SECOND + 0.08)]), RULE).metrics
+    found = {size: (metrics[f"blows {size}"], metrics[f"missed {size}"]) for size in SIZES}
+    assert found == {"0.5 to 1 mm": (1, 1), "1 to 2 mm": (0, 0), "above 2 mm": (1, 0)}
 
 
 def test_a_blow_that_moves_nothing_must_not_be_registered(hit: Callable[..., Trace]) -> None:

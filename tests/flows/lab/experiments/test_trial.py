@@ -3,10 +3,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.trial import (
+    FINGERTIP,
     FIRM,
     FIRM_LIFT,
     HELD,
+    PHASES,
     RANDOM,
     SPAN,
     Conditions,
@@ -17,6 +20,8 @@ from flows.lab.experiments.trial import (
 from operators import Grip, StepGrip
 from operators.batch import Reals
 from operators.detectors import Psd
+
+BALL = OBJECTS["ball"]
 
 
 def test_random_objects_differ_from_trial_to_trial_and_can_be_held_firmly() -> None:
@@ -34,9 +39,10 @@ def test_the_expected_force_assumes_nominal_friction_and_mass() -> None:
     assert nominal.expected_force == pytest.approx(nominal.least_force)
 
 
-def test_conditions_change_the_object_but_not_the_rest() -> None:
-    nominal, changed = (Trial.draw("ball", 3, one) for one in (Conditions(), Conditions(friction=2)))
-    assert changed.held.friction == 2 * nominal.held.friction
+def test_conditions_change_the_object_and_the_pad_but_not_the_rest() -> None:
+    nominal, changed = (Trial.draw("ball", 3, one) for one in (Conditions(), Conditions(stiffness=2, tilt=3)))
+    assert changed.held.stiffness == 2 * BALL.stiffness
+    assert changed.fingertip.tilt_stiffness == 3 * FINGERTIP.tilt_stiffness
     assert (changed.position, changed.firm, changed.held.mass) == (
         nominal.position,
         nominal.firm,
@@ -59,11 +65,24 @@ def test_scores_added_to_a_trace_are_those_of_the_closed_loop(rate: float) -> No
 def test_a_slip_registered_in_a_firm_lift_is_false_unless_a_finger_slipped_just_before(
     make_trace: Callable[..., Trace], during: Callable[..., Reals]
 ) -> None:
-    rule, seen = Grip(settle=0), during((2.0, 2.1))
-    assert make_trace(probability=seen).false_slip(rule)
-    assert not make_trace(probability=seen, fastest=during((1.9, 2.0), value=0.02)).false_slip(rule)
-    assert make_trace(probability=seen, speed=during((1.9, 2.0), value=0.002)).false_slip(rule)
-    assert not make_trace(probability=during((0.5, 0.6), (HELD + 0.1, HELD + 0.2))).false_slip(rule)
+    rule, seen = Grip(settle=0), during((2.0, 2.1), (2.2, 2.3), (3.5, 3.6))
+    none = {"false_firm": 0, **{f"false {phase}": 0 for phase in PHASES}}
+    assert make_trace(probability=seen).false_slips(rule) == {
+        **none,
+        "false_firm": 1,
+        "false load transfer": 2,
+        "false holding": 1,
+    }
+    passive = make_trace(probability=seen, fastest=during((1.9, 2.0), value=0.02))
+    assert passive.false_slips(rule) == {
+        **none,
+        "false_firm": 1,
+        "false load transfer": 1,
+        "false holding": 1,
+    }
+    slow = make_trace(probability=seen, speed=during((1.9, 2.0), value=0.002))
+    assert slow.false_slips(rule) == {**none, "false_firm": 1, "false load transfer": 2, "false holding": 1}
+    assert make_trace(probability=during((0.5, 0.6), (HELD, HELD + 0.1))).false_slips(rule) == none
 
 
 def test_a_slip_is_registered_after_enough_consecutive_scores(make_trace: Callable[..., Trace]) -> None:

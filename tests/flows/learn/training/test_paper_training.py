@@ -55,10 +55,11 @@ def _balanced(detector: Detector, recordings: Sequence[LabelledRecording]) -> fl
 
 
 @both
-def test_what_is_learned_holds_on_other_recordings(name: str) -> None:
+def test_the_loss_falls_and_what_it_learns_holds_on_other_recordings(name: str) -> None:
     train, validation, test = ([_recording(seed) for seed in seeds] for seeds in (range(2), (5,), (7,)))
     trained = train_windowed(train, validation, replace(TWICE, network=name, epochs=4))
     assert len(trained.curve) == 4
+    assert trained.curve[-1].loss < 0.8 * trained.curve[0].loss
     detector = DETECTORS[name](trained.arrays)
     assert _balanced(detector, test) > 80
     best = max(epoch.balanced for epoch in trained.curve)

@@ -2,13 +2,16 @@ import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from flows.learn.labelled_recordings import LabelledRecording, by_split, load
-from flows.learn.training import trainer
+from flows.learn.training import dense_training, trainer
+from flows.learn.training.dense_training import train_dense
 from flows.learn.training.recipe import PaperRecipe, Recipe
+from flows.learn.training.trained_model import learned
 from flows.learn.training.trainer import train
 from operators.detectors import PaperTcn, Tcn
 from operators.errors import InputError, ParameterError
@@ -46,13 +49,24 @@ def test_a_network_of_the_paper_is_trained_by_its_recipe(
     assert len(model.card["curve"]) == 1
 
 
-def test_fewer_than_five_recordings_without_splits_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_few_recordings_are_divided_in_time_but_not_those_of_the_test_split(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one = LabelledRecording(np.zeros((9, 6), np.int16), np.zeros(9, np.int8), split="train")
-    monkeypatch.setattr(trainer, "load", lambda _: [one])
-    with pytest.raises(ParameterError, match="must be five recordings or more, or some with a validation"):
-        train([tmp_path], tmp_path / "model.safetensors", SMALL)
+    used = list[LabelledRecording]()
+
+    def spied(learned: Any, validation: Any, *rest: Any) -> Any:
+        used.extend([*learned, *validation])
+        return train_dense(learned, validation, *rest)
+
+    monkeypatch.setattr(dense_training, "train_dense", spied)
+    few = [
+        replace(each, split=split)
+        for each, split in zip(load(tiny), ("train", "train", "test"), strict=False)
+    ]
+    monkeypatch.setattr(trainer, "load", lambda _: few)
+    model = train([tiny], tmp_path / "few.safetensors", SMALL)
+    assert {each.name for each in used} == {each.name for each in few[:2]} != {few[2].name}
+    assert [each.name for each in learned(model.card, few)] == [each.name for each in few[:2]]
 
 
 def test_a_recording_in_two_splits_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
