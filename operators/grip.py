@@ -10,9 +10,9 @@ import numpy as np
 
 from operators.batch import Commands, Scores, ms, s
 from operators.checks import check_above, check_at_least, check_between, check_whole
-from operators.errors import ParameterError
 from operators.operator import Operator
 
+_MOST: Final = 1e6  # N, or 1/s; no gripper exceeds it
 _SHORTEST_GAP: Final = 50 * ms  # ns between two decisions
 _GAP: Final = 3  # usual intervals; a gap is longer
 _USUAL: Final = 5  # intervals whose median is the usual one
@@ -60,9 +60,9 @@ class GripController(Operator[Scores, Commands]):
 
     def __post_init__(self) -> None:
         name = type(self).__name__
-        if not 0 <= self.min_force <= self.force <= self.max_force < math.inf:
-            must_be = f"from min_force to max_force, {self.min_force:g} to {self.max_force:g} N, finite"
-            raise ParameterError(name, "force", self.force, must_be)
+        check_between(name, "max_force", self.max_force, 0, _MOST, unit="N")
+        check_between(name, "min_force", self.min_force, 0, self.max_force, unit="N")
+        check_between(name, "force", self.force, self.min_force, self.max_force, unit="N")
         check_above(name, "threshold", self.threshold, 0)
         check_between(name, "threshold", self.threshold, 0, 1)
         check_above(name, "rate", self.rate, 0, "N/s")
@@ -192,8 +192,7 @@ class Grip(GripController):
     def __post_init__(self) -> None:
         super().__post_init__()
         for key in ("gain", "margin", "release_rate"):
-            if not 0 <= getattr(self, key) < math.inf:
-                raise ParameterError("Grip", key, getattr(self, key), "at least 0 and finite")
+            check_between("Grip", key, getattr(self, key), 0, _MOST)
         check_at_least("Grip", "latency", self.latency, 0, "ns")
 
     def aim(self, time: int, elapsed: float, probability: float, *, registered: bool) -> float:

@@ -75,6 +75,8 @@ def evaluate(
         raise InputError("evaluate", "needs a dataset, or --stress without one")
     if train and not hold_out:
         raise InputError("--train", "needs --hold-out: a detector is judged on groups that it did not see")
+    if hold_out and split != "test":
+        raise InputError("--hold-out", "judges groups of all splits: omit --split")
     if stress and (hold_out or chart or split != "test"):
         raise InputError("--stress", "judges simulated recordings: omit --split, --hold-out and --chart")
     check_output_folder(out)

@@ -63,7 +63,9 @@ def train(
     from flows.learn.training.trainer import FURTHER_STEPS
     from flows.learn.training.trainer import train as run_training
     from flows.report.report_page import check_output_folder
+    from operators.checks import check_choice
 
+    check_choice("train", "--method", method, ("tcn", *PAPER_NETWORKS))
     if (parent or method != "tcn") and filters != 24:
         raise typer.BadParameter("--filters is for a new tcn")
     if method != "tcn" and (parent or steps):
@@ -74,7 +76,7 @@ def train(
         usual = Recipe().steps if parent is None else FURTHER_STEPS
         recipe = Recipe(filters=filters, steps=steps or usual, seed=seed)
     else:
-        recipe = PaperRecipe(method, PAPER_NETWORKS.get(method, 1), seed=seed)
+        recipe = PaperRecipe(method, PAPER_NETWORKS[method], seed=seed)
     held_out = "the held-out part" if parent else "validation"
     with progress_bar(f"training {parent or method}") as update:
 

@@ -63,12 +63,15 @@ class PlannedRecording:
     start: int  # ns since 1970-01-01 UTC
     split: str
 
+    def __str__(self) -> str:
+        return self.session
+
 
 def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
     """Return the recordings of a plan, in order.
 
     >>> first = planned_recordings("tiny", seed=0)[0]
-    >>> first.session, first.scene.curvature
+    >>> str(first), first.scene.curvature
     ('plane-050-01', 'plane')
 
     Raises:

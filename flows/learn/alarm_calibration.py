@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, gammainccinv, ndtri, stdtrit
 
-from flows.learn.evaluation.folds import repeated
 from flows.learn.event_metrics import EventMetrics, TrueSlips, debounce_settings
 from flows.learn.labelled_recordings import LabelledRecording, load
-from flows.learn.training.trained_model import learned, provenance
+from flows.learn.training.trained_model import learned, provenance, repeated
 from flows.report.table import counted, show
 from operators import Debounce
 from operators.batch import Reals

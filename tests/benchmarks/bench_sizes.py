@@ -80,7 +80,7 @@ def shares(dataset: Path, split: str, models: Sequence[Path], *metrics: str) -> 
     found = evaluate(dataset, split=split, names=[*map(str, models)])
     table = estimates(found.results, {name: STATISTICS[name] for name in metrics}, draws=0)
     value = {(row["method"], row["statistic"]): row["value"] for row in table.to_dicts()}
-    return [[value[model.stem, name] for name in metrics] for model in models]
+    return [[value[str(model), name] for name in metrics] for model in models]
 
 
 def held_objects(models: Sequence[Path], trials: int, executor: Executor) -> list[list[float]]:

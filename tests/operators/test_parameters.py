@@ -48,7 +48,15 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
     Health: [*({"dead_after": 0}, {"stuck_after": 0}, {"clear_after": -1})],
     DeviceClock: [{"window": 59}, {"window": 0}, {"jump": -1}],
     Grip: [
-        *({"force": 11.0}, {"min_force": -1.0}, {"threshold": 0.0}, {"rate": 0.0}, {"consecutive": 0}),
+        *(
+            {"force": 11.0},
+            {"force": "5N"},
+            {"max_force": "9"},
+            {"min_force": -1.0},
+            {"threshold": 0.0},
+            {"rate": 0.0},
+            {"consecutive": 0},
+        ),
         *({"gain": -1.0}, {"margin": -1.0}, {"release_rate": np.inf}, {"latency": -1}),
     ],
     StepGrip: [{"step": 0.0}],

@@ -18,10 +18,11 @@ from flows.lab.experiments.tap_and_lift import lift, tap
 from flows.lab.experiments.trial import RANDOM, Conditions, Outcome, Trace, Trial
 from flows.report.results import joined, result_rows
 from flows.run.executor import map_tasks
-from operators import Grip, GripController, StepGrip
+from operators import Grip, GripController, Score, StepGrip
 from operators.batch import Counts, Reals
 from operators.checks import check_choice
 from operators.detectors import Detector
+from operators.fingertip import TAKKTILE
 from storage import load_debounce, load_detector
 
 SEED: Final = 900_000  # far from the seeds of training data
@@ -85,12 +86,14 @@ class Method:
 
         Raises:
             InputError: if there is no such detector.
+            FingertipError: if it was made for another fingertip than the simulated one.
         """
         name = self.detector
         threshold = THRESHOLDS.get(name)
         if threshold is None:
             threshold = load_debounce(name).threshold
         detector = StepThreshold() if name == "threshold" else load_detector(name)
+        detector = Score(detector).for_fingertip(TAKKTILE).detector
         if self.rule == STEPS:
             return detector, StepGrip(threshold=threshold)
         ours = Grip(threshold=threshold)

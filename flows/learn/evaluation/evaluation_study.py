@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from flows.learn.evaluation.detector_speed import speed_results
-from flows.learn.evaluation.folds import EVERY, Fold, group_folds, repeated, split_fold
+from flows.learn.evaluation.folds import EVERY, Fold, group_folds, split_fold
 from flows.learn.evaluation.methods import (
     BASELINES,
     Candidate,
@@ -22,7 +22,7 @@ from flows.learn.evaluation.methods import (
 from flows.learn.event_metrics import DECISION, PAUSE
 from flows.learn.labelled_recordings import LabelledRecording, common_fingertip, hand_label_summary, load
 from flows.learn.measures import SHARES, judged
-from flows.learn.training.trained_model import learned
+from flows.learn.training.trained_model import learned, repeated
 from flows.report.results import estimates, joined
 from flows.report.table import counted
 from flows.run.executor import map_tasks, one_thread

@@ -39,7 +39,8 @@ def split_fold(recordings: Sequence[LabelledRecording], split: str, source: str)
     if not judged:
         there = ", ".join(sorted({each.split for each in recordings} - {""})) or "none"
         raise InputError(source, f"has no split {split!r}; it has {there}; `--split all` takes everything")
-    _check_classes(judged, source, f"in its {split} split; choose another split")
+    where = "to judge detectors on" if split == EVERY else f"in its {split} split; choose another split"
+    _check_classes(judged, source, where)
     parts = by_split(_others(recordings, judged))
     return Fold("", parts["train"], parts["validation"], judged)
 
@@ -65,16 +66,6 @@ def group_folds(recordings: Sequence[LabelledRecording], groups: Collection[str]
     _check_classes(recordings, source, "to hold out or to fit to")
     chosen = known if EVERY in groups else [each for each in known if each in groups]
     return [_group_fold(recordings, group) for group in chosen]
-
-
-def repeated(recordings: Sequence[LabelledRecording], parts: Sequence[str]) -> list[str]:
-    """Return a line for each recording that appears in two parts, such as splits, of a dataset."""
-    first, lines = dict[str, tuple[str, str]](), list[str]()
-    for recording, part in zip(recordings, parts, strict=True):
-        name, other = first.setdefault(recording.content, (recording.name, part))
-        if other != part:
-            lines.append(f"{recording.name} ({part}) is the same recording as {name} ({other})")
-    return lines
 
 
 def _group_fold(recordings: Sequence[LabelledRecording], group: str) -> Fold:

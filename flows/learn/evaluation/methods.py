@@ -77,16 +77,10 @@ def trained_methods(names: Collection[str] = ()) -> list[FittedMethod]:
         InputError: if a file does not hold the weights of a detector, or a name is unknown.
     """
     known = (*shipped_names(), *BASELINES)
-    files = [name for name in names if name.endswith(_SUFFIX)]
+    files = [name for name in dict.fromkeys(names) if name.endswith(_SUFFIX)]
     if unknown := sorted({*names} - {*files, *known}):
         raise InputError(", ".join(unknown), f"is not a method; known are {', '.join(known)}, FILE{_SUFFIX}")
-    found = {name: _loaded(name, name) for name in wanted(names, shipped_names())}
-    for file in files:
-        name = Path(file).stem
-        if name in {*found, *wanted(names, BASELINES)}:
-            name = file
-        found[name] = _loaded(name, file)
-    return [*found.values()]
+    return [_loaded(model) for model in (*wanted(names, shipped_names()), *files)]
 
 
 def wanted(names: Collection[str], known: Iterable[str]) -> list[str]:
@@ -146,14 +140,12 @@ def _trained_tcn(recipe: Recipe, fold: Fold) -> Detector:
     require_extra("train", "--train")
     from flows.learn.training.dense_training import train_dense
 
-    if not any(each.slip.any() for each in fold.train):
-        raise InputError("--train", "none of the recordings to learn from has slip")
     detector = Tcn(train_dense(fold.train, fold.validation, recipe).arrays)
     detector.fingertip = fold.train[0].fingertip
     return detector
 
 
-def _loaded(name: str, model: str) -> FittedMethod:
+def _loaded(model: str) -> FittedMethod:
     card = load_card(shipped(model) or Path(model))
     debounce = load_debounce(model) if "debounce" in card else None
-    return FittedMethod(name, load_detector(model), debounce, card=card)
+    return FittedMethod(model, load_detector(model), debounce, card=card)

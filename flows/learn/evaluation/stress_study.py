@@ -21,6 +21,8 @@ from flows.learn.evaluation.methods import Candidate, FittedMethod, baselines, t
 from flows.learn.labelled_recordings import simulated_recordings
 from flows.report.results import joined
 from flows.run.executor import map_tasks, one_thread
+from operators import Score
+from operators.fingertip import TAKKTILE
 
 Change: TypeAlias = Callable[[Scene, float], Scene]
 NOMINAL: Final = "nominal"  # condition
@@ -53,9 +55,13 @@ def stress(
 
     Raises:
         InputError: if a method or model does not exist.
+        FingertipError: if a model was made for another fingertip than the simulated one.
         SlipflowError: if a worker died.
     """
-    candidates: list[Candidate] = [*trained_methods(names), *baselines(names)]
+    trained = trained_methods(names)
+    for each in trained:
+        Score(each.detector).for_fingertip(TAKKTILE)
+    candidates: list[Candidate] = [*trained, *baselines(names)]
     train, validation = (simulated_recordings(training, seed + more) for more in (_FITTING, _TUNING))
     tasks = [(each, Fold("", train, validation, ())) for each in candidates]
     fitted = judge_all("", tasks, executor=executor)

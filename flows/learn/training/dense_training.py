@@ -33,7 +33,7 @@ from flows.learn.training.training_loop import (
 from flows.run.executor import one_thread
 from operators.batch import BAROMETERS, SLIP, STATIC, UNKNOWN, Flags, ms
 from operators.detectors import Tcn
-from operators.errors import ParameterError
+from operators.errors import InputError, ParameterError
 
 _HEAD: Final = 500 * ms  # ns, of the beginning of a recording
 _CLIP: Final = 1.0  # maximum norm of the gradient
@@ -60,7 +60,8 @@ def train_dense(
         start: Network to start from, of the same size; its batch norms stay folded. None: random weights.
 
     Raises:
-        ParameterError: if the training recordings lack a class, or no recording to validate on has a label.
+        InputError: if the training recordings lack a class.
+        ParameterError: if no recording to validate on has a label.
     """
     with one_thread():
         return fit(_DenseTask(train, validation, recipe, start), progress)
@@ -85,8 +86,8 @@ class _DenseTask(TrainingTask):
         label = self._crops.label
         slip, static = int((label == SLIP).sum()), int((label == STATIC).sum())
         if not slip or not static:
-            given = f"{slip} samples of slip and {static} of static"
-            raise ParameterError("train_dense", "train", given, "recordings with both")
+            reason = f"{slip:,} samples of slip and {static:,} of static to learn from: both are needed"
+            raise InputError("train", reason)
         unseen = [np.empty(0, label.dtype), *(recording.label[self._warm_up :] for recording in validation)]
         self._unseen_label = np.concatenate(unseen)
         if (self._unseen_label == UNKNOWN).all():

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from operators.checks import check_above, check_choice
+from operators.checks import check_above
 
 PAPER_NETWORKS: Final = {"frequency_cnn": 6, "paper_tcn": 25}  # epochs in which each improves
 
@@ -81,9 +81,6 @@ class PaperRecipe:
     """Settings of the paper's training (its section V): Adam, cross-entropy, `PAPER_TOUCH`.
 
     Each epoch uses all windows of the smaller class and as many random windows of the other.
-
-    Raises:
-        ParameterError: if there is no such network.
     """
 
     network: str  # one of `PAPER_NETWORKS`
@@ -93,6 +90,3 @@ class PaperRecipe:
     batch: int = 256  # windows
     dropout: float = 0.2  # probability
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        check_choice("PaperRecipe", "network", self.network, PAPER_NETWORKS)

@@ -97,6 +97,18 @@ def learned(card: Mapping[str, Any], recordings: Iterable[LabelledRecording]) ->
     return [each for each in recordings if each.content in stated]
 
 
+def repeated(recordings: Sequence[LabelledRecording], parts: Sequence[str]) -> list[str]:
+    """Return a line for each recording that appears in two parts, such as splits, of a dataset."""
+    first, lines = dict[str, tuple[str, str]](), list[str]()
+    for recording, part in zip(recordings, parts, strict=True):
+        if not len(recording):
+            continue
+        name, other = first.setdefault(recording.content, (recording.name, part))
+        if other != part:
+            lines.append(f"{recording.name} ({part}) is the same recording as {name} ({other})")
+    return lines
+
+
 def provenance(recordings: Sequence[LabelledRecording]) -> list[dict[str, Any]]:
     """Describe the datasets of recordings for the card of a model; all but test recordings are learned."""
     found = list[dict[str, Any]]()

@@ -18,7 +18,15 @@ from flows.learn.labelled_recordings import (
     load,
 )
 from flows.learn.training.recipe import REAL_TOUCH, PaperRecipe, Recipe
-from flows.learn.training.trained_model import Arrays, Model, Progress, label_scores, provenance, write_model
+from flows.learn.training.trained_model import (
+    Arrays,
+    Model,
+    Progress,
+    label_scores,
+    provenance,
+    repeated,
+    write_model,
+)
 from operators.batch import SLIP, STATIC, UNKNOWN, Flags, Reals, s
 from operators.detectors import TRAINED, Detector, Tcn
 from operators.detectors.weights import ForOneFingertip
@@ -111,19 +119,25 @@ def train(
         log: Receives the number of labels by hand, before the training.
 
     Raises:
-        InputError: if the train extra is missing or a dataset cannot be read; with `start` if that is no tcn,
-            or the recordings are too short or lack slip or static.
-        ParameterError: if a parameter is out of range, or the datasets lack a split or labels to judge by.
+        InputError: if the train extra is missing, a dataset cannot be read or a recording is in two splits;
+            with `start` if that is no tcn, or the recordings are too short or lack slip or static.
+        ParameterError: if a parameter is out of range, `out` is the file of `start`, or the datasets lack a
+            split or labels to judge by.
         FingertipError: if the recordings have different fingertips, or the network is for another one.
         OSError: if the model cannot be written.
     """
     require_extra("train", "train")
     if out.suffix != ".safetensors":
         raise ParameterError("train", "out", str(out), "a path that ends in .safetensors")
+    if start is not None and (shipped(start) or Path(start)).resolve() == out.resolve():
+        must_be = "another file than --from, which it is compared with and may have to be kept"
+        raise ParameterError("train", "out", str(out), must_be)
     parent = None if start is None else load_detector(start)
     if not isinstance(parent, Tcn | None):
         raise InputError(str(start), "is not a tcn: only a tcn can be trained further")
     recordings = load(*datasets)
+    if twice := repeated(recordings, [each.split for each in recordings]):
+        raise InputError("train", f"{twice[0]}: give each recording once")
     if by_hand := hand_label_summary(recordings):
         log(by_hand)
     fingertip = common_fingertip(recordings)

@@ -18,7 +18,7 @@ def test_evaluate_writes_page_and_tables(tiny: Path, tmp_path: Path) -> None:
     assert "judged on tiny, split: test: 2 recordings, 0.4 minutes after the warm-up\n" in done.stderr
     found = json.loads((tmp_path / "evaluation" / "evaluation.json").read_text())
     rows = found["sections"]["samples"]["tables"][0]["rows"]
-    assert {row["method"] for row in rows} == {"psd", "tcn"}
+    assert {row["method"] for row in rows} == {"psd", model}
     assert all(50 < row["accuracy %"] < 100 for row in rows)
     names = {path.name for path in (tmp_path / "evaluation").iterdir()}
     assert names == {"evaluation.html", "evaluation.json", "evaluation.md"}

@@ -1,8 +1,14 @@
-from dataclasses import fields
+from dataclasses import fields, replace
 
+import pytest
+
+from flows.lab.experiments import study
 from flows.lab.experiments.study import NOMINAL, SEED, Method, Trials, conditions_of, run_study
 from flows.lab.experiments.trial import Conditions
 from flows.run.executor import workers
+from operators.detectors import Psd
+from operators.errors import FingertipError
+from operators.fingertip import TAKKTILE
 
 NONE = Method("psd", "none")
 
@@ -20,6 +26,13 @@ def test_each_condition_differs_from_nominal_in_one_setting_and_only_a_lift_has_
     taps = [name for name, _ in varied if not name.startswith("delay ")]
     assert [*conditions_of("tap", stress=True)] == [NOMINAL, *taps]
     assert [*conditions_of("tap", stress=False)] == [NOMINAL]
+
+
+def test_a_model_for_another_fingertip_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    fast = Psd(fingertip=replace(TAKKTILE, rate=200.0))
+    monkeypatch.setattr(study, "load_detector", lambda _: fast)
+    with pytest.raises(FingertipError, match=r"psd needs 200 Hz; the data has .*100 Hz"):
+        NONE.load()
 
 
 def test_processes_and_the_number_of_trials_change_no_trial() -> None:

@@ -70,8 +70,9 @@ def test_a_recording_in_two_splits_is_named_and_not_fitted_to(tiny: Path, having
 
 
 def test_a_model_that_was_trained_on_judged_recordings_is_named(small: Trained, tiny: Path) -> None:
-    for split, notes in (("validation", ["small has learned from 1 recording of these"]), ("test", [])):
-        assert [*evaluate(tiny, names=["psd", str(small.model.path)], split=split).notes] == notes
+    path = str(small.model.path)
+    for split, notes in (("validation", [f"{path} has learned from 1 recording of these"]), ("test", [])):
+        assert [*evaluate(tiny, names=["psd", path], split=split).notes] == notes
 
 
 def test_detectors_are_judged_on_groups_that_they_did_not_see(surfaces: list[LabelledRecording]) -> None:

@@ -47,5 +47,7 @@ def test_an_unknown_group_or_a_missing_class_is_refused(surfaces: list[LabelledR
         group_folds([*map(still, surfaces)], ["all"], "strokes")
     with pytest.raises(InputError, match="has no slip in its test split; choose another"):
         split_fold([replace(still(surfaces[0]), split="test")], "test", "strokes")
+    with pytest.raises(InputError, match="has no slip to judge detectors on"):
+        split_fold([still(surfaces[0])], "all", "strokes")
     with pytest.raises(InputError, match="has no split 'test'; it has none"):
         split_fold(surfaces, "test", "strokes")

@@ -1,4 +1,5 @@
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
 
@@ -9,6 +10,7 @@ from connectors.sim.scene import PaperStrokes
 from flows.learn.evaluation import evaluation_figures, stress_study
 from flows.learn.evaluation.evaluation_report import stress_report
 from flows.learn.evaluation.evaluation_study import Evaluation
+from flows.learn.evaluation.methods import FittedMethod
 from flows.learn.evaluation.stress_study import (
     FIELDS,
     NOMINAL,
@@ -18,6 +20,10 @@ from flows.learn.evaluation.stress_study import (
 )
 from flows.learn.measures import BALANCED
 from flows.report.results import estimates
+from operators import Debounce
+from operators.detectors import Psd
+from operators.errors import FingertipError
+from operators.fingertip import TAKKTILE
 
 TINY = PaperPlan(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, strokes=PaperStrokes(rounds=1))
 SEED = 7
@@ -29,6 +35,15 @@ def found() -> Iterator[Evaluation]:
     few = {name: FIELDS[name] for name in ("dead", "clock", "friction", "slip_speed")}
     with patch.object(stress_study, "FIELDS", few), patch.object(evaluation_figures, "FIELDS", few):
         yield stress(names=["psd"], seed=SEED, plan=TINY, training=TINY)
+
+
+def test_a_model_for_another_fingertip_is_refused_before_the_simulation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fast = FittedMethod("fast", Psd(fingertip=replace(TAKKTILE, rate=200.0)), Debounce())
+    monkeypatch.setattr(stress_study, "trained_methods", lambda _: [fast])
+    with pytest.raises(FingertipError, match="psd needs 200 Hz"):
+        stress()
 
 
 def test_every_value_of_every_field_is_judged(found: Evaluation) -> None:

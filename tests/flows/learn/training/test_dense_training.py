@@ -8,7 +8,7 @@ import torch
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.dense_training import DenseTcn, train_dense
 from flows.learn.training.recipe import Recipe
-from operators import ParameterError
+from operators import InputError, ParameterError
 from operators.detectors import Tcn
 
 SMALL = Recipe(filters=4, units=4, steps=60, batch=4, crop=256, checks=6, rate=2e-2)
@@ -29,7 +29,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_gives_others(
 @pytest.mark.parametrize("label", [0, 1, -1])
 def test_recordings_of_one_class_are_refused(recordings: list[LabelledRecording], label: int) -> None:
     flat = [replace(recording, label=np.full_like(recording.label, label)) for recording in recordings[:4]]
-    with pytest.raises(ParameterError, match="must be recordings with both"):
+    with pytest.raises(InputError, match="of static to learn from: both are needed"):
         train_dense(flat, recordings[4:], SMALL)
     unknown = replace(recordings[4], label=np.full_like(recordings[4].label, -1))
     for validation in ([], [unknown]):

@@ -15,7 +15,6 @@ from flows.learn.training.paper_training import PaperNetwork, Windows, paper_net
 from flows.learn.training.recipe import PaperRecipe
 from flows.learn.training.trained_model import Arrays
 from flows.learn.training.training_loop import Trained
-from operators import ParameterError
 from operators.detectors import Detector, PaperTcn
 from operators.detectors.frequency_cnn import FrequencyCnn
 from operators.errors import InputError
@@ -101,11 +100,6 @@ def test_the_longest_gradient_of_an_array_bounds_its_step() -> None:
     at_rest = paper_network(np.zeros(6), np.ones(6), TWICE).arrays()["out/kernel"]
     free, bound = kernel(1.0), kernel(1e-12)  # so short that Adam's epsilon outweighs it
     assert np.abs(bound - at_rest).max() < 1e-6 < np.abs(free - at_rest).max()
-
-
-def test_an_unknown_network_is_refused() -> None:
-    with pytest.raises(ParameterError, match=r"network is 'lstm', must be one of frequency_cnn, paper_tcn"):
-        PaperRecipe("lstm", 1)
 
 
 def test_a_window_ends_at_its_label_and_stays_within_its_noise() -> None:

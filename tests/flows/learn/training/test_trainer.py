@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from flows.learn.labelled_recordings import LabelledRecording, by_split, load
@@ -13,7 +14,7 @@ from flows.learn.training.recipe import PaperRecipe, Recipe
 from flows.learn.training.trained_model import learned
 from flows.learn.training.trainer import train
 from operators.detectors import PaperTcn, Tcn
-from operators.errors import ParameterError
+from operators.errors import InputError, ParameterError
 from storage import load_detector
 from tests.flows.learn.conftest import Trained
 
@@ -66,6 +67,13 @@ def test_a_few_recordings_are_divided_in_time_but_not_those_of_the_test_split(
     model = train([tiny], tmp_path / "few.safetensors", SMALL)
     assert {each.name for each in used} == {each.name for each in few[:2]} != {few[2].name}
     assert [each.name for each in learned(model.card, few)] == [each.name for each in few[:2]]
+
+
+def test_a_recording_in_two_splits_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = LabelledRecording(np.zeros((9, 6), np.int16), np.zeros(9, np.int8), name="one", split="train")
+    monkeypatch.setattr(trainer, "load", lambda _: [one, replace(one, name="copy", split="test")])
+    with pytest.raises(InputError, match=r"copy \(test\) is the same recording as one \(train\): give each"):
+        train([tmp_path], tmp_path / "model.safetensors", SMALL)
 
 
 def test_another_format_is_refused_before_anything_is_read(tmp_path: Path) -> None:
