@@ -12,16 +12,16 @@ from flows.cli.main import app
 ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
-    "operators": 5_044,
-    "connectors": 10_476,
-    "storage": 3_845,
-    "flows": 12_283,
-    "product": 31_648,
+    "operators": 4_932,
+    "connectors": 10_444,
+    "storage": 3_844,
+    "flows": 12_279,
+    "product": 31_499,
     "product files": 212,
-    "tests": 30_229,
+    "tests": 29_461,
     "commands": 16,
     "options": 70,
-    "words": 35_700,
+    "words": 35_081,
 }
 
 

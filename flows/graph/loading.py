@@ -14,7 +14,6 @@ import types
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Final, get_type_hints
 
@@ -50,7 +49,8 @@ class Declaration:
         values: dict[str, object] = {}
         for name, text in (settings or {}).items():
             if name not in self.parameters:
-                raise InputError(self.name, f"has no parameter {name!r}; {self._suggestion(name)}")
+                has = ", ".join(self.parameters) or "none"
+                raise InputError(self.name, f"has no parameter {name!r}; it has {has}")
             values[name] = self.parameters[name].value(self.name, text)
         with _errors_of(self.file):
             flow = self.build(**values)
@@ -60,13 +60,6 @@ class Declaration:
         if files := flow_files(self.file):
             flow.code = hashlib.sha256(repr(files).encode()).hexdigest()
         return flow
-
-    def _suggestion(self, name: str) -> str:
-        if not self.parameters:
-            return "it has none"
-        if close := get_close_matches(name, self.parameters, 1, cutoff=0.7):
-            return f"did you mean {close[0]!r}? It has {', '.join(self.parameters)}"
-        return f"it has {', '.join(self.parameters)}"
 
 
 def shipped_flows() -> list[str]:

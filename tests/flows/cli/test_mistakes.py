@@ -36,7 +36,7 @@ MISTAKES = [
     ("run live --listen host:", "--listen host:: write it as PORT or HOST:PORT, such as 8765"),
     ("run broken.py --metrics 0.0.0.0:9464", "--metrics 0.0.0.0:9464: host is '0.0.0.0', must be 127.0.0.1"),
     ("check live --set detector=oracle", "oracle: is not a detector: give "),
-    ("check live --set seeds=1", "live: has no parameter 'seeds'; did you mean 'seed'? It has detector"),
+    ("check live --set seeds=1", "live: has no parameter 'seeds'; it has detector"),
     ("check record --set delay=-1ms", "record: delay is -1000000, must be at least 0 ns"),
     ("doctor --set a=1", "--set requires a flow"),
     ("show .", ": is not a session"),
