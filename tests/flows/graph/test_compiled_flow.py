@@ -146,7 +146,9 @@ class UnknowingSteps(Unknowing):
 
 
 @pytest.mark.parametrize(
-    "operator", [Broken(), Strict(), Score(Unknowing()), Score(UnknowingSteps())], ids=repr
+    "operator",
+    [Broken(), Strict(), Score(Unknowing()), Score(UnknowingSteps())],
+    ids=["process", "steps", "detector", "streaming detector"],
 )
 def test_a_failing_operator_or_detector_is_named_with_its_line(operator: Operator[Zeroed, Scores]) -> None:
     flow = Flow("f")
