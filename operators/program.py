@@ -174,15 +174,10 @@ def drop(flow: Record, outputs: Record, row: Record) -> None:
     """End the path of a row that nothing reads."""
 
 
-def is_given(result: bool | None) -> bool:
-    """Return whether a step has an output row; a step without a result has none."""
-    return result is not None and bool(result)
-
-
 def pass_through(flow: Record, outputs: Record, row: Record) -> None:
     """Pass a row through a step."""
     made = flow[MADE]
-    if is_given(STEP(flow[SETTINGS], flow[STATE], row, made)):
+    if STEP(flow[SETTINGS], flow[STATE], row, made):
         NEXT(flow, outputs, made)
 
 
@@ -190,7 +185,7 @@ def take_and_give(flow: Record, outputs: Record, row: Record) -> None:
     """Pass a row to an operator, and on all rows that it gives."""
     TAKE(flow[SETTINGS], flow[STATE], row)
     made = flow[MADE]
-    while is_given(GIVE(flow[SETTINGS], flow[STATE], made)):
+    while GIVE(flow[SETTINGS], flow[STATE], made):
         NEXT(flow, outputs, made)
 
 
@@ -240,7 +235,7 @@ def end(flow: Record, outputs: Record) -> None:
     """End the stream of an operator, then of those after it."""
     flow[STATE].ended = 1
     made = flow[MADE]
-    while is_given(GIVE(flow[SETTINGS], flow[STATE], made)):
+    while GIVE(flow[SETTINGS], flow[STATE], made):
         NEXT(flow, outputs, made)
     OTHER(flow, outputs)
 

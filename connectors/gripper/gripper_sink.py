@@ -58,9 +58,9 @@ class Gripper(Sink[Commands]):
     to `limits`. A lower force may not loosen the grip: according to the manual, stopped fingers move again
     only for a higher force or another position.
 
-    A gripper that is silent or lost is tried again every second; meanwhile `write` raises, and the newest
-    command is sent afterwards. During a run the sink never activates it, because that moves the fingers: a
-    gripper that has restarted, or has a fault that needs a reset, fails until the next run.
+    A restarted gripper is activated and grips again. A gripper that fails (silent, lost, or with a fault) is
+    tried again every second; meanwhile `write` raises, and the newest command is sent afterwards. Faults that
+    need a reset are left to the user during a run.
 
     Source: Robotiq, "3-Finger Adaptive Robot Gripper Instruction Manual".
 
@@ -68,6 +68,9 @@ class Gripper(Sink[Commands]):
         host: Address of the gripper.
         unit: Modbus unit id; 0 or 9 with some adapters.
         limits: Minimum and maximum force, N.
+
+    Attributes:
+        status: Newest status; None while the gripper cannot be reached.
 
     Raises:
         ParameterError: on an invalid value.
@@ -96,7 +99,22 @@ class Gripper(Sink[Commands]):
             must_be = f"two increasing forces from {WEAKEST} to {STRONGEST} N"
             raise ParameterError("Gripper", "limits", self.limits, must_be)
         self._serving: BackgroundTask | None = None  # None: not open
+        self._reset()
+
+    def _reset(self) -> None:
+        """Set the state before a run; times are those of the event loop, s."""
+        self._target = Request(active=True)
         self._client: Any = None  # AsyncModbusTcpClient
+        self._changed = asyncio.Event()  # set with a new target
+        self._failure = ""
+        self._lose(0.0)
+
+    def _lose(self, now: float) -> None:
+        """Forget what is known of a gripper that failed, and begin to wait for its readiness."""
+        self.status: Status | None = None
+        self._sent: Request | None = None  # newest request
+        self._due = 0.0  # next status request
+        self._waiting = now
 
     @property
     def destination(self) -> str:
@@ -129,24 +147,14 @@ class Gripper(Sink[Commands]):
         Raises:
             EndpointError: if the gripper cannot be reached or activated.
         """
-        self._force: int | None = None  # register of the newest force, until it is sent
-        self._changed = asyncio.Event()  # set with a new force
-        self._failure = ""
-        self._create_client()
+        self._reset()
+        self._waiting = asyncio.get_running_loop().time()
         try:
+            self._create_client()
             if (await self._read_status()).needs_reset:
                 await self._send(Request())
-            async with asyncio.timeout(ACTIVATION):
-                while not (status := await self._read_status()).ready:
-                    if status.needs_reset:
-                        raise EndpointError(self.destination, status.reason)  # noqa: TRY301 - as that of a read
-                    if not status.active:
-                        await self._send(Request(active=True))
-                    await asyncio.sleep(POLL)
-        except TimeoutError:
-            self._disconnect()
-            reason = f"is not ready within {ACTIVATION} s: does something obstruct its fingers?"
-            raise EndpointError(self.destination, reason) from None
+            while not self._ready:
+                await self._step()
         except BaseException:
             self._disconnect()
             raise
@@ -163,7 +171,8 @@ class Gripper(Sink[Commands]):
         forces = batch.force[~np.isnan(batch.force)]
         if len(forces):
             low, high = self.limits
-            self._force = force_register(min(max(float(forces[-1]), low), high))
+            force = min(max(float(forces[-1]), low), high)
+            self._target = Request(active=True, force=force_register(force))
             self._changed.set()
         if self._failure:
             raise EndpointError(self.destination, self._failure)
@@ -179,48 +188,70 @@ class Gripper(Sink[Commands]):
         serving, self._serving = self._serving, None
         await serving.end()
         try:
-            if self._force is not None:
-                await self._check_status()
-                await self._send_force()
+            async with asyncio.timeout(TIMEOUT):
+                while self._pending:
+                    await self._step()
+        except TimeoutError:
+            raise EndpointError(self.destination, "is not ready for the newest command") from None
         finally:
             self._disconnect()
         serving.check()
 
+    @property
+    def _ready(self) -> bool:
+        """True if the gripper accepts requests."""
+        return self.status is not None and self.status.ready
+
+    @property
+    def _pending(self) -> bool:
+        """True if a force is commanded that has not been sent."""
+        return self._target.force is not None and self._target != self._sent
+
     async def _serve(self) -> None:
-        """Send the newest force and check the status until cancelled."""
+        """Keep the gripper on target until cancelled."""
         while True:
             try:
-                await self._check_status()
-                due = asyncio.get_running_loop().time() + POLL
-                while asyncio.get_running_loop().time() < due:
-                    await self._send_force()
-                    with suppress(TimeoutError):
-                        async with asyncio.timeout_at(due):
-                            await self._changed.wait()
+                await self._step()
             except EndpointError as error:
+                self._lose(asyncio.get_running_loop().time())
                 if not self._failure:
                     log.warning("%s, retrying", error)
                 self._failure = error.reason
                 await asyncio.sleep(RETRY)
+            else:
+                if self._ready and self._failure:
+                    log.warning("%s works again", self.destination)
+                    self._failure = ""
+
+    async def _step(self) -> None:
+        """Read the status or send the target if due, else wait until one of them is due."""
+        loop = asyncio.get_running_loop()
+        now = loop.time()
+        if now >= self._due:
+            await self._check_status()
+            self._due = loop.time() + POLL
+        elif self._ready and self._pending:
+            await self._send(self._target)
+        else:
+            self._changed.clear()
+            with suppress(TimeoutError):
+                async with asyncio.timeout(self._due - now):
+                    await self._changed.wait()
 
     async def _check_status(self) -> None:
-        """Read the status; raise EndpointError if the gripper cannot move."""
-        status = await self._read_status()
+        """Read the status, and activate the gripper if needed."""
+        status, now = await self._read_status(), asyncio.get_running_loop().time()
         if status.needs_reset:
             raise EndpointError(self.destination, status.reason)
-        if not status.ready:
-            raise EndpointError(self.destination, "has restarted: the start of the next run activates it")
-        if self._failure:
-            log.warning("%s works again", self.destination)
-            self._failure = ""
-
-    async def _send_force(self) -> None:
-        """Send the newest force, if it has not been sent."""
-        self._changed.clear()
-        if (force := self._force) is not None:
-            await self._send(Request(active=True, force=force))
-            if self._force == force:
-                self._force = None
+        if self._ready and not status.ready:
+            log.warning("%s has restarted: activating it again", self.destination)
+            self._lose(now)
+        self.status = status
+        if not status.ready and now - self._waiting > ACTIVATION:
+            reason = f"is not ready within {ACTIVATION} s: does something obstruct its fingers?"
+            raise EndpointError(self.destination, reason)
+        if not status.active:
+            await self._send(Request(active=True))
 
     async def _read_status(self) -> Status:
         """Read the status."""
@@ -233,6 +264,7 @@ class Gripper(Sink[Commands]):
     async def _send(self, request: Request) -> None:
         """Send a request, and wait until the status shows it."""
         await self._exchange("write_registers", values=request.encode())
+        self._sent = request
         await asyncio.sleep(SETTLE - PACE)
 
     async def _exchange(self, request: str, **values: Any) -> "ModbusPDU":
@@ -271,4 +303,4 @@ class Gripper(Sink[Commands]):
         """Close the connection, if there is one."""
         if self._client:
             self._client.close()
-        self._client = None
+        self._client, self.status = None, None

@@ -120,6 +120,7 @@ class Controller:
         if not len(velocity):
             return None
         t = t[: len(velocity)]
+        time, arrive = self._sampler.stamp(len(t))
         stamps = CONTROLLER_UPTIME + t  # s
-        time = self._sampler.stamp(len(t))
-        return Motion(time, np.rint(stamps * s).astype(np.int64), velocity, pose)
+        motion = Motion(time, np.rint(stamps * s).astype(np.int64), velocity, pose)
+        return motion if arrive.all() else motion[arrive]

@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from connectors.sim.contact import compiled
-from connectors.sim.scene import Parameters
+from connectors.sim.scene import Faults, Parameters
 from operators.batch import BAROMETERS, Counts, Flags, Reals
 
 CEILING: Final = 1023  # counts, of 10 bits
@@ -102,34 +102,38 @@ def randoms(seed: int, finger: int) -> list[np.random.Generator]:
 
 
 class Barometers:
-    """Barometers of one fingertip with relaxation.
+    """Barometers of one fingertip with relaxation and faults.
 
     Args:
         parameters: Parameters of the fingertip.
+        faults: Faults of the cells.
         seed: Random seed of rest levels and all noise.
         finger: Number of the fingertip.
     """
 
-    def __init__(self, parameters: Parameters, seed: int, finger: int = 0) -> None:
+    def __init__(self, parameters: Parameters, faults: Faults, seed: int, finger: int = 0) -> None:
         p = self._p = parameters
+        self._faults = faults
         offsets, _, self._noise, self._temperature_noise = randoms(seed, finger)
         self._influence = influence(p)
         self._late = np.zeros((len(DECADES), BAROMETERS))
         self._rest = offsets.integers(p.rest_lowest, p.rest_highest, BAROMETERS, endpoint=True).astype(float)
         self._temperature = ROOM_TEMPERATURE + offsets.integers(-8, 8, BAROMETERS)
 
-    def read(self, tractions: Reals, aged: float) -> tuple[Counts, Counts, Flags]:
-        """Read the cells at k instants.
+    def read(self, t: Reals, tractions: Reals, aged: float) -> tuple[Counts, Counts, Flags]:
+        """Read the cells at instants (k,) (s since the run began).
 
         Args:
+            t: Instants.
             tractions: (k, 3, n) Pa: pressure, shear along x, shear along y of each node.
             aged: Time between instants (s).
 
         Returns:
             Raw ADC counts of pressure (k, 6), of temperature (k, 6), and validity (k, 6).
         """
-        counts = self._counts(tractions, aged)
-        valid = np.ones(counts.shape, np.bool_)
+        counts = self._counts(t, tractions, aged)
+        valid = np.ones((len(t), BAROMETERS), np.bool_)
+        valid[:, : self._faults.dead] = False
         temperature = self._temperature + 0.3 * self._temperature_noise.standard_normal(valid.shape)
         return counts, np.rint(temperature).astype(np.int16), valid
 
@@ -142,13 +146,17 @@ class Barometers:
         size[1:] += size[:-1] / 2
         return np.asarray(size[:, None] * random.uniform(0.3, 1.3, shape))
 
-    def _counts(self, tractions: Reals, aged: float) -> Counts:
-        """Return raw ADC counts (k, 6) at instants `aged` (s) apart."""
-        p, passed = self._p, 1 - np.exp(-aged / DECADES)
+    def _counts(self, t: Reals, tractions: Reals, aged: float) -> Counts:
+        """Return raw ADC counts (k, 6) at instants (k,) (s), `aged` (s) apart."""
+        p, faults, passed = self._p, self._faults, 1 - np.exp(-aged / DECADES)
         counts = respond(tractions, self._influence, (p.sensitivity, p.relaxation), passed, self._late)
+        counts *= faults.gain
         counts += self._rest
+        counts += faults.offset
+        counts += t[:, None] * faults.drift
         if p.noise:
             counts += p.noise * self._noise.standard_normal(counts.shape)
         if p.glitches:
             counts += self._disturbed(counts.shape, p.glitches * aged)
+        counts[:, : faults.dead] = 0.0
         return np.clip(np.rint(counts), 0, CEILING).astype(np.int16)

@@ -90,19 +90,21 @@ class Finger:
         self._ticks = 0  # simulated physics steps
         self._path = 0.0  # m, of the arm at the pad until then
         self._sensed = 0.0  # s, instant of the latest sample of `sense`
-        self._cells = Barometers(p, seed, finger)
+        self._cells = Barometers(p, scene.faults, seed, finger)
         self._sampler = Sampler(scene.touch, randoms(seed, finger)[1])
 
     def take(self, samples: int) -> tuple[Touch, Truth] | None:
         """Return the next samples, timestamped from the run's start, and the truth of each.
 
-        There are fewer if the plan ends; None after its end.
+        There are fewer if the plan ends or samples are lost; None after the plan's end.
         """
         t = self._sampler.instants(samples)  # (k,) s
         touch, truth = self._read(t, 1 / self._scene.touch.rate)
         if not len(touch):
             return None
-        return replace(touch, time=self._sampler.stamp(len(touch))), truth
+        time, arrive = self._sampler.stamp(len(touch))
+        touch = replace(touch, time=time)
+        return (touch, truth) if arrive.all() else (touch[arrive], truth[arrive])
 
     def sense(self, instant: float) -> tuple[Touch, Truth]:
         """Return the sample at an instant (s since the run began), with that timestamp, and its truth.
@@ -135,7 +137,7 @@ class Finger:
         moved = until > 0
         velocity[moved] = drive[until[moved] - 1, :3]
         time = np.rint(t * s).astype(np.int64)
-        touch = Touch.rows(time, *self._cells.read(tractions, aged), finger=self._finger)
+        touch = Touch.rows(time, *self._cells.read(t, tractions, aged), finger=self._finger)
         return touch, Truth(time, contact_truth[:, 0], contact_truth[:, 1], velocity, finger=self._finger)
 
     def _drive(self, steps: int) -> Reals:

@@ -18,7 +18,7 @@ from connectors.sim.body import GRAVITY, GripModel
 from connectors.sim.contact import FingerState
 from connectors.sim.finger import contact_model, pad, vibration_velocity
 from connectors.sim.objects import Object
-from connectors.sim.scene import NO_VIBRATION, Parameters, Scene, Travel, Vibration
+from connectors.sim.scene import NO_VIBRATION, Faults, Parameters, Scene, Travel, Vibration
 from operators.batch import Reals, Touch, s
 
 RATE: Final = 10.0  # N/s, of a gripper; assumed
@@ -179,7 +179,7 @@ class Grasp:
         self._body = body.BodyState.standing(-grip[0], -grip[1] - sunk)
         self._body.table[0] = held.mass * body.GRAVITY
         self._start = float(self._body.pose[1])
-        self._cells = Barometers(p, seed)
+        self._cells = Barometers(p, Faults(), seed)
         self._ticks = 0
         self._sensed = 0.0  # s, instant of the latest sample
         self._pending: list[tuple[float, float, float]] = []  # start (s), force (N), rate (N/s)
@@ -209,9 +209,9 @@ class Grasp:
             self._grip, self._pad, self._tip, self._body, self._drive(steps)
         )
         self._ticks += steps
-        aged = instant - self._sensed
+        t, aged = np.array([instant]), instant - self._sensed
         self._sensed = instant
-        touch = Touch.rows([round(instant * s)], *self._cells.read(tractions[None], aged), finger=0)
+        touch = Touch.rows([round(instant * s)], *self._cells.read(t, tractions[None], aged), finger=0)
         return touch, self._state(instant, tractions, (speed, passive))
 
     def _state(self, instant: float, tractions: Reals, speeds: tuple[float, float]) -> GraspState:

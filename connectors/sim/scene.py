@@ -1,4 +1,4 @@
-"""Declaration of a scene: surface, arm motion, timing, vibration and physical constants.
+"""Declaration of a scene: surface, arm motion, timing, faults, vibration and physical constants.
 
 Terms that are zero have no effect.
 """
@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from operators.batch import Curvature, MotionKind, Reals, Times, s
+from operators.batch import Curvature, Flags, MotionKind, Reals, Times, s
 from operators.errors import ParameterError
 
 ENDLESS: Final = 1 << 62  # rounds
@@ -103,12 +103,24 @@ class PaperStrokes:
 class Timing:
     """Sampling and timestamps of a stream.
 
-    A sample taken at t (s) has the timestamp ``t + latency + wander``.
+    A sample taken at t (s) has the timestamp ``t + latency + wander + offset``.
     """
 
     rate: float  # Hz
     latency: float = 0.0  # s, mean time from the sample to its timestamp
     wander: float = 0.0  # s, standard deviation of the latency, which changes within seconds
+    offset: float = 0.0  # s, clock offset
+    dropped: float = 0.0  # fraction of samples that are lost
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """Faults of the barometers, the same for all that respond."""
+
+    dead: int = 0  # number of cells, from 0 on, that do not respond
+    gain: float = 1.0  # factor of the response
+    offset: float = 0.0  # counts
+    drift: float = 0.0  # counts/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,6 +204,7 @@ class Scene:
     vibration: Vibration = NO_VIBRATION
     touch: Timing = Timing(100.0)
     motion: Timing = Timing(125.0, latency=0.07)
+    faults: Faults = Faults()
     parameters: Parameters = field(default_factory=Parameters)
 
     @property
@@ -268,7 +281,7 @@ class Sampler:
 
     def __init__(self, timing: Timing, random: np.random.Generator) -> None:
         self.timing = timing
-        *_, self._slow = random.spawn(3)
+        _, self._loss, self._slow = random.spawn(3)
         self._kept = exp(-1 / timing.rate)  # part of a latency's deviation after a sample; 1/e after 1 s
         self._left = self._kept * self._slow.standard_normal(1)  # of the latest deviation
         self._taken = 0
@@ -278,15 +291,19 @@ class Sampler:
         """Return the true instants (k,) (s since the run began) of the next samples."""
         return np.arange(self._taken, self._taken + samples) / self.timing.rate
 
-    def stamp(self, samples: int) -> Times:
-        """Take the next samples; return their timestamps (k,) (ns since the run began)."""
-        stamps = self.instants(samples) + self.timing.latency
+    def stamp(self, samples: int) -> tuple[Times, Flags]:
+        """Take the next samples; return timestamps (k,) (ns since the run began) and which arrive (k,)."""
+        t, timing = self.instants(samples), self.timing
         self._taken += samples
-        if self.timing.wander:
-            stamps += self.timing.wander * self._wandered(samples)
+        stamps = t + timing.latency + timing.offset
+        arrive = np.ones(samples, np.bool_)
+        if timing.wander:
+            stamps += timing.wander * self._wandered(samples)
+        if timing.dropped:
+            arrive = self._loss.random(samples) >= timing.dropped
         time = np.maximum.accumulate(np.maximum(np.rint(stamps * s).astype(np.int64), self._latest))
         self._latest = int(time[-1])
-        return time
+        return time, arrive
 
     def _wandered(self, samples: int) -> Reals:
         """Return deviations (k,) of the next latencies: an Ornstein-Uhlenbeck process of unit variance."""

@@ -135,7 +135,8 @@ class SimulatedRig:
             await clock.sleep_until(origin + round((number / timing.rate + timing.latency) * s))
             if (batch := take()) is None:
                 return
-            yield batch.later(origin)
+            if len(batch):
+                yield batch.later(origin)
 
     def _sampler(self, kind: type[Batch]) -> Callable[[], Any]:
         """Return a function that gives the next sample of a stream; None at the end of the plan."""

@@ -98,10 +98,13 @@ def learned(card: Mapping[str, Any], recordings: Iterable[LabelledRecording]) ->
 
 
 def repeated(recordings: Sequence[LabelledRecording], parts: Sequence[str]) -> list[str]:
-    """Return a line for each recording that appears in two parts, such as splits, of a dataset."""
+    """Return a line for each recording that appears in two parts, such as splits, of a dataset.
+
+    Recordings whose counts never change do not count: all of one length are equal.
+    """
     first, lines = dict[str, tuple[str, str]](), list[str]()
     for recording, part in zip(recordings, parts, strict=True):
-        if not len(recording):
+        if (recording.counts == recording.counts[:1]).all():
             continue
         name, other = first.setdefault(recording.content, (recording.name, part))
         if other != part:

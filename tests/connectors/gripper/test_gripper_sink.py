@@ -1,6 +1,7 @@
 import asyncio
+import logging
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from math import inf, nan
@@ -148,6 +149,7 @@ async def test_a_silent_gripper_fails_and_later_gets_the_newest_force() -> None:
         for force in (20.0, 25.0, 30.0):
             with pytest.raises(EndpointError, match=r"modbus://.*/2: does not answer .*: is 2 its unit"):
                 await gripper.write(commands(force))
+        assert gripper.status is None
         at.server.silent = False
         await asyncio.sleep(4)
         assert [each.force for each in at.writes[2:]] == [85]
@@ -201,9 +203,9 @@ async def test_closing_sends_the_newest_force_or_raises() -> None:
         assert at.writes[-1].force == 28
         await gripper.open(at.run)
         at.server.restart(drop=False)
-        with suppress(EndpointError):  # the restart may be known by now
-            await gripper.write(commands(30.0))
-        with pytest.raises(EndpointError, match="has restarted: the start of the next run activates it"):
+        await asyncio.sleep(0.2)
+        await gripper.write(commands(30.0))
+        with pytest.raises(EndpointError, match="is not ready for the newest command"):
             await gripper.close()
         await gripper.close()  # nothing is left to be done
 
@@ -233,7 +235,7 @@ async def test_a_failure_of_the_control_is_logged_at_once_and_raised_by_write_an
     async with lab() as at:
         gripper = Gripper(HOST, PORT)
         await gripper.open(at.run)
-        monkeypatch.setattr(Gripper, "_check_status", fail)
+        monkeypatch.setattr(Gripper, "_step", fail)
         await asyncio.sleep(1.0)
         assert "the control of the gripper has failed: KeyError: 'planted'" in caplog.text
         with pytest.raises(EndpointError, match="the control of the gripper has failed"):
@@ -243,22 +245,18 @@ async def test_a_failure_of_the_control_is_logged_at_once_and_raised_by_write_an
 
 
 @pytest.mark.parametrize("drop", [False, True])
-async def test_a_gripper_that_restarts_is_not_moved_until_the_next_run(*, drop: bool) -> None:
-    async with lab() as at:
-        gripper = Gripper(HOST, PORT)
-        await gripper.open(at.run)
-        await gripper.write(commands(30.0))
+async def test_a_gripper_that_restarts_is_activated_again_and_grips_again(
+    *, drop: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with lab() as at, at.gripping(force=30.0) as gripper:
         await asyncio.sleep(5)
         at.server.restart(drop=drop)
         await asyncio.sleep(10)
-        with pytest.raises(EndpointError, match="has restarted: the start of the next run activates it"):
-            await gripper.write(commands(40.0))
-        with pytest.raises(EndpointError, match="has restarted"):
-            await gripper.close()
-        assert (len(at.writes), at.forces) == (2, [register_force(85)])
-        async with at.gripping(force=40.0):
-            await asyncio.sleep(5)
-        assert at.forces[-1] == register_force(141)
+        await gripper.write(commands(40.0))
+        await asyncio.sleep(1)
+        assert at.forces == [register_force(85), 0.0, register_force(85), register_force(141)]
+    logged = [each.message.split(" ", 1)[1] for each in caplog.records if each.levelno >= logging.WARNING]
+    assert logged == ["has restarted: activating it again"]
 
 
 async def test_an_activation_that_takes_too_long_fails() -> None:

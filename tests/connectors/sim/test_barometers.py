@@ -1,20 +1,12 @@
-from dataclasses import replace
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from scipy.integrate import dblquad
 
-from connectors.sim.barometers import (
-    CEILING,
-    DECADES,
-    Barometers,
-    cell_positions,
-    grid,
-    influence,
-    respond,
-)
-from connectors.sim.scene import Parameters
-from operators.batch import Reals
+from connectors.sim.barometers import CEILING, DECADES, Barometers, cell_positions, grid, influence, respond
+from connectors.sim.scene import Faults, Parameters
+from operators.batch import Counts, Reals
 
 
 def test_the_influence_is_the_integral_of_the_point_loads() -> None:
@@ -52,8 +44,8 @@ T = np.arange(50) / 100
 QUIET = Parameters(noise=0.0)
 
 
-def cells(parameters: Parameters = QUIET) -> Barometers:
-    return Barometers(parameters, 1)
+def cells(faults: Faults, parameters: Parameters = QUIET) -> Barometers:
+    return Barometers(parameters, faults, 1)
 
 
 def pressed(pressure: float, rows: int = 50) -> Reals:
@@ -63,8 +55,23 @@ def pressed(pressure: float, rows: int = 50) -> Reals:
     return tractions
 
 
+@pytest.mark.parametrize(
+    ("faults", "expected"),
+    [
+        (Faults(dead=1, offset=9), lambda clean: clean + 9),
+        (Faults(dead=1, drift=10), lambda clean: np.rint(clean + 10 * T[:, None])),
+    ],
+)
+def test_each_fault_is_that_of_responding_cells(faults: Faults, expected: Callable[[Counts], Reals]) -> None:
+    clean, _, _ = cells(Faults()).read(T, pressed(2000.0), 0.0125)
+    counts, _, valid = cells(faults).read(T, pressed(2000.0), 0.0125)
+    assert valid[0].tolist() == [False, True, True, True, True, True]
+    assert not counts[:, 0].any()
+    np.testing.assert_allclose(counts[:, 1:], expected(clean)[:, 1:], atol=1)
+
+
 def test_counts_stay_within_the_converter() -> None:
-    high, _, _ = cells(replace(QUIET, rest_lowest=2000, rest_highest=2000)).read(pressed(0.0), 0.0125)
-    low, _, _ = cells().read(pressed(1e6), 0.0125)
+    high, _, _ = cells(Faults(offset=2000)).read(T, pressed(0.0), 0.0125)
+    low, _, _ = cells(Faults()).read(T, pressed(1e6), 0.0125)
     assert (high == CEILING).all()
     assert not low.any()

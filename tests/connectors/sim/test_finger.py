@@ -2,7 +2,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from connectors.sim.finger import Finger
-from connectors.sim.scene import Move, Scene, Timing, Vibration
+from connectors.sim.scene import Faults, Move, Scene, Timing, Vibration
 from operators.batch import Touch, Truth, concat
 from tests.storage.made import same
 
@@ -20,7 +20,12 @@ def take(finger: Finger, samples: int) -> tuple[Touch, Truth]:
     return taken
 
 
-SCENE = Scene(STROKE, vibration=Vibration(), touch=Timing(100.0, wander=0.004))
+SCENE = Scene(
+    STROKE,
+    vibration=Vibration(),
+    touch=Timing(100.0, wander=0.004, dropped=0.2),
+    faults=Faults(dead=1, gain=1.1, drift=5.0),
+)
 
 
 @settings(max_examples=30, deadline=None)

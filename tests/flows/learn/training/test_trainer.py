@@ -11,7 +11,7 @@ from flows.learn.labelled_recordings import LabelledRecording, by_split, load
 from flows.learn.training import dense_training, trainer
 from flows.learn.training.dense_training import train_dense
 from flows.learn.training.recipe import PaperRecipe, Recipe
-from flows.learn.training.trained_model import learned
+from flows.learn.training.trained_model import learned, repeated
 from flows.learn.training.trainer import train
 from operators.detectors import PaperTcn, Tcn
 from operators.errors import InputError, ParameterError
@@ -70,7 +70,10 @@ def test_a_few_recordings_are_divided_in_time_but_not_those_of_the_test_split(
 
 
 def test_a_recording_in_two_splits_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    one = LabelledRecording(np.zeros((9, 6), np.int16), np.zeros(9, np.int8), name="one", split="train")
+    counts = np.arange(54, dtype=np.int16).reshape(9, 6)
+    one = LabelledRecording(counts, np.zeros(9, np.int8), name="one", split="train")
+    untouched = [replace(one, counts=0 * counts, split=split) for split in ("train", "test")]
+    assert not repeated(untouched, ["train", "test"])  # all of one length are equal
     monkeypatch.setattr(trainer, "load", lambda _: [one, replace(one, name="copy", split="test")])
     with pytest.raises(InputError, match=r"copy \(test\) is the same recording as one \(train\): give each"):
         train([tmp_path], tmp_path / "model.safetensors", SMALL)
