@@ -262,7 +262,7 @@ def _matched(key: str, names: Sequence[str], table: RawTable) -> tuple[str, ...]
 def _usual(quantity: str, free: Sequence[str], table: RawTable) -> tuple[str, ...]:
     """Return those of the `free` columns with a usual name of a quantity; none, if there are none."""
     if quantity == VELOCITY:
-        axes = {_word(split_unit(VELOCITY, each)[0]): each for each in free}
+        axes = {_word(split_unit(VELOCITY, each)[0]): each for each in free if not re.search("deg|rpm", each)}
         size = next((size for size in (6, 3) if set(_AXES[:size]) <= set(axes)), 0)
         return tuple(axes[axis] for axis in _AXES[:size])
     names = [name for name in free if _has_usual_name(quantity, name)]

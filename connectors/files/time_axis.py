@@ -70,9 +70,7 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
     column = table.columns[name]
     if dates:
         clock = column.dt.to_string("%H:%M:%S%.9f") if column.dtype == pl.Time else column.cast(pl.String)
-        date = table.columns[dates[0]]
-        date = date.dt.date() if date.dtype == pl.Datetime else date
-        column = date.cast(pl.String) + " " + clock
+        column = table.columns[dates[0]].cast(pl.String).str.replace(" 00:00:00.*", "") + " " + clock
     texts = is_text_of_time(column)
     textual = texts or column.dtype.is_temporal()
     order = columns.dates or (date_order(table, (dates or [name])[0]) if texts else "ymd")
