@@ -19,8 +19,9 @@ _TOLERANCE: Final = 0.01  # of a step, at most
 _FLOAT32: Final = 1e-5  # of the largest reading: float32 has 24 bits, of which a subtraction costs some
 _PRECISION: Final = 1e-10  # of the largest reading: float64 has 53 bits
 _NINES: Final = [float(f"{'9' * whole}.{'9' * part}") for whole in range(2, 8) for part in range(4)]
-_SENTINELS: Final = (  # usual values for no reading
-    *(sign * value for value in (*_NINES, 1e10, 1e20, 1e30, 1e31, 1e37, 1e38) for sign in (-1, 1)),
+_SENTINELS: Final = (  # usual values for no reading; 99 to 999.999 may be readings
+    *(*(-value for value in _NINES), *_NINES[8:]),
+    *(sign * value for value in (1e10, 1e20, 1e30, 1e31, 1e37, 1e38) for sign in (-1, 1)),
     *(-1.0, 32767.0, -32768.0, 65535.0, 2147483647.0, -2147483648.0, 4294967295.0),
 )
 _MANY, _FEW = 5, 4  # steps between values that become one, and different values of what is no signal any more
@@ -237,13 +238,13 @@ def _sentinels(readings: Reals) -> tuple[float, ...]:
     """Return the usual values for no reading that lie far from the other readings of their cell."""
     found = set[float]()
     for cell in readings.T:
-        present = [value for value in _SENTINELS if np.any(cell == value)]
-        for value in present:
-            others = cell[~np.isin(cell, present) & ~np.isnan(cell)]
-            if others.size > np.count_nonzero(cell == value):
-                low, high = others.min(), others.max()
-                if not low - 2 * (high - low) - 10 <= value <= high + 2 * (high - low) + 10:
-                    found.add(value)
+        values, rows = np.unique(cell[~np.isnan(cell)], return_counts=True)
+        usual = np.isin(values, _SENTINELS) & (2 * rows < rows.sum())
+        others = values[~usual]
+        if others.size:
+            far = 2 * (others[-1] - others[0]) + 10
+            distant = (values < others[0] - far) | (values > others[-1] + far)
+            found.update(values[usual & distant & (rows < rows[~usual].sum())].tolist())
     return tuple(sorted(found))
 
 

@@ -32,7 +32,7 @@ from operators.fingertip import CELL_LIMIT, grid
 
 _NAMES: Final = {  # usual names, without blanks and signs, in lower case
     TIME: "t|time|time[mun]s|timestamp|stamp|datetime|elapsed|elapsedtime|seconds|sec|millis|micros|ms|us"
-    "|zeit|zeitstempel|uhrzeit|temps|tiempo|tempo",
+    "|zeit|zeitstempel|uhrzeit|tiempo",
     DATE: "date|datum",
     SPEED: "speed|v|tcpspeed|geschwindigkeit",
     LABEL: "labels?|slip|isslip|slipping|schlupf|groundtruth",
@@ -55,7 +55,7 @@ _WORDS: Final = {  # usual values of labels
 }
 SLIP_WORD: Final = re.compile("slip|slid|rutsch|gleit|schlupf", re.IGNORECASE)
 _FINGERTIP: Final = re.compile(  # names of columns that tell which fingertip, or cell, measured a row
-    "(frame|finger|fingertip|sensor|side|hand|pad|device|node|board|module|mux|port|bus|i2c|mac|topic|source"
+    "(?!$)(finger|fingertip|sensor|side|hand|pad|device|node|board|module|mux|port|bus|i2c|mac|topic|source"
     "|channel|ch|cell|taxel)?(id|index|name|number|nr|no|addr|address)?"
 )
 _FEW: Final = 20  # values of labels, or fingertips in such a column
@@ -82,6 +82,7 @@ _UNITS: Final = {  # by text; in lower case unless m would become M, or one lett
     **{each: each for each in _ALL_UNITS},
 }
 _TEMPERATURE: Final = re.compile(r"°.*|deg(rees)? ?[ckf]|celsius|kelvin|temp.*|[ckt]", re.IGNORECASE)
+_SPEED: Final = re.compile(r"[^°]*([/^%*·⁻]|-1$)|(rpm|ips|fps|kmh|mph)$", re.IGNORECASE)  # may be its unit
 _BRACKETS: Final = re.compile(r"(.+?)[ _]*[\[({<]\s*([^\])}>]*?)\s*[\])}>]")
 _ENDING: Final = re.compile(r"(.+?)(?:[ _]+(?:in )?|\s*/\s*)([^\d\s_/\[\]]+(?:/s(?:ec)?)?|[cm]?m_s)")
 
@@ -113,7 +114,7 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
         elif not (keys or moves or (quantity == LABEL and stated.labelled)):
             found[quantity] = _usual(quantity, free, table)
     times = [table.columns[name] for name in found[TIME]]
-    of_day = any(each.dtype == pl.Time or is_text_of_time(each, CLOCK) for each in times)
+    of_day = any(each.dtype == pl.Time or is_text_of_time(each, f"^{CLOCK}") for each in times)
     if DATE not in mapped and not of_day:
         dated = not times and TIME not in mapped and stated.rate is None  # a date with the time of day
         found[TIME], found[DATE] = found[DATE] if dated else found[TIME], ()
@@ -146,7 +147,7 @@ def _check_interleaved(table: RawTable, unused: Sequence[str]) -> None:
     for name in unused:
         column = table.columns[name]
         many, changes = column.n_unique(), int(column.rle_id()[-1])
-        if not 1 < many <= _FEW or changes <= len(column) / 4:
+        if not 1 < many <= _FEW or changes <= max(len(column) / 4, 2 * many - 1):
             continue
         text = f"column {name} alternates between {many}"
         if _FINGERTIP.fullmatch(_word(name)):
@@ -199,8 +200,8 @@ def split_unit(quantity: str, name: str) -> tuple[str, str]:
     (('t', 'ms'), ('cell 1', 'kPa'), ('b0_T', ''))
     """
     if (match := _BRACKETS.fullmatch(name)) and not re.fullmatch(r"\d[\d\W]*", match[2]):
-        unit, other = unit_in(match[2], (quantity,)), unit_in(match[2]) or _TEMPERATURE.fullmatch(match[2])
-        if unit or (match[2] and (quantity == COUNTS or (quantity in MOTIONS and not other))):
+        unit = unit_in(match[2], (quantity,))
+        if unit or (match[2] and (quantity == COUNTS or (quantity in MOTIONS and _SPEED.match(match[2])))):
             return match[1].strip(), unit or match[2]
         return name.strip(), ""
     match = _ENDING.fullmatch(name)
@@ -261,7 +262,7 @@ def _matched(key: str, names: Sequence[str], table: RawTable) -> tuple[str, ...]
 def _usual(quantity: str, free: Sequence[str], table: RawTable) -> tuple[str, ...]:
     """Return those of the `free` columns with a usual name of a quantity; none, if there are none."""
     if quantity == VELOCITY:
-        axes = {_word(split_unit(VELOCITY, each)[0]): each for each in free}
+        axes = {_word(split_unit(VELOCITY, each)[0]): each for each in free if not re.search("deg|rpm", each)}
         size = next((size for size in (6, 3) if set(_AXES[:size]) <= set(axes)), 0)
         return tuple(axes[axis] for axis in _AXES[:size])
     names = [name for name in free if _has_usual_name(quantity, name)]

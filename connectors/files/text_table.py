@@ -27,7 +27,7 @@ _NAMES: Final = {sign: name for name, sign in SEPARATORS.items()}
 _DATE: Final = r"\d{1,4}[-/. ](\d{1,2}|[a-z]{3})[-/. ]\d{1,4}"
 _VALUE: Final = re.compile(  # a number, a date, a time, or nothing
     r"|[+\-\u2212]?[\d.,'\u2019\u00a0\u202f ]*\d[\d.,]*(e[+-]?\d+)?"
-    rf"|[+-]?(nan|inf|na|n/a|null|none|true|false)|{_DATE}|((\d{{8}}|{_DATE}|\d+ days?)[T_,; ]+)?"
+    rf"|[+-]?(nan|inf|na|<na>|n/a|null|none|true|false)|{_DATE}|((\d{{8}}|{_DATE}|\d+ days?)[T_,; ]+)?"
     r"\d{1,2}:\d{2}[\d:.,]*( ?[ap]m)?( ?(z|utc|gmt|[+-]\d\d(:?\d\d)?))?",
     re.IGNORECASE,
 )
@@ -127,7 +127,8 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
     above = [number for number in range(first) if lines[number].strip()]
     units = [each.strip("[](){}<> ") for each in _fields(lines[above[-1]], sign)] if above[1:] else []
     filled = [each for each in units if each.strip("-")]
-    known = 2 * sum(bool(unit_in(each)) for each in filled) > len(filled) or len({*filled}) < len(filled)
+    enough = len(filled) / 2 if len({*filled}) == len(filled) else 0  # of s,inH2O,inH2O one suffices
+    known = sum(bool(unit_in(each)) for each in filled) > enough
     widths = [len(_fields(lines[number], sign)) for number in above[-2:]]  # of the names, and of the units
     units = units if known and min(widths) >= width - 1 else []
     above = above[:-1] if units else above

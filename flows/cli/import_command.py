@@ -8,7 +8,7 @@ import typer
 
 from flows.cli.terminal import note, progress_bar
 
-_LEFT_OUT: Final = "left out, the dataset has it; delete it there to import it again, as with another map"
+_LEFT_OUT: Final = "left out, the dataset has it; to import it again or with another map, delete it there"
 
 
 def import_(

@@ -156,6 +156,17 @@ def test_a_value_for_no_reading_does_not_make_a_quiet_signal_constant(value: flo
     assert "row 40, column p1 is" in found.warnings[0]
 
 
+@pytest.mark.parametrize(
+    ("usual", "rare", "missing"),
+    [(3.0, 99.0, ()), (3.0, 999.0, ()), (99.9, -999.0, (-999,)), (9999.0, -999.0, (-999,))],
+)
+def test_a_saturated_or_quiet_cell_is_not_missing(
+    usual: float, rare: float, missing: tuple[float, ...]
+) -> None:
+    cells = [usual] * 50 + [rare] * 10
+    assert Trace(table(cells, cells), columns("kPa")).part.columns.missing == missing
+
+
 def described(text: str, cells: int = 4, base: float = 100) -> Fingertip:
     readings = {f"c{cell}": [base + 10 * cell + k % 7 for k in range(9)] for cell in range(cells)}
     trace = Trace({"t": np.arange(9) / 100, **readings}, ColumnMap.parse(text))

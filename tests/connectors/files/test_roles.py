@@ -12,6 +12,7 @@ from connectors.files.raw_table import RawTable
 from connectors.files.roles import completed, unit_in
 from operators.errors import InputError
 
+OTHERS = ("what", "#", "frame_no")  # that do not name a fingertip
 CELLS = ("s1", "s2", "s3", "s4", "s5", "s6")
 
 
@@ -40,7 +41,11 @@ def roles(names: Sequence[str], columns: str = "") -> ColumnMap:
             ("t", *CELLS, *(f"v{axis} [mm/s]" for axis in "xyz")),
             {"velocity": ("vx [mm/s]", "vy [mm/s]", "vz [mm/s]")},
         ),
-        (("t", *CELLS, "v [V]"), {"counts": CELLS}),
+        (("t", *CELLS, "v [V]", "speed (left)", "temps", "Tempo"), {"time": ("t",), "counts": CELLS}),
+        (
+            ("t", *CELLS, *("vx", "vy", "vz"), *(f"w{axis} [deg/s]" for axis in "xyz")),
+            {"velocity": ("vx", "vy", "vz")},
+        ),
         (("t", *(f"taxel[{k},1]" for k in range(3))), {"counts": ("taxel[0,1]", "taxel[1,1]", "taxel[2,1]")}),
         (("t", *(f"b{i}_{what}" for i in range(3) for what in "PT")), {"counts": ("b0_P", "b1_P", "b2_P")}),
         (("t", "p0 [kPa]", "p1 [kPa]", "T0 [degC]", "T1 [degC]"), {"counts": ("p0 [kPa]", "p1 [kPa]")}),
@@ -186,16 +191,17 @@ def test_the_angular_velocity_may_have_a_unit_of_its_own() -> None:
         ([*["left"] * 30, *["right"] * 30], False),
         ([0] * 60, False),
         ([*range(60)], False),
+        ([*range(15)], False),  # a short recording with a counter
     ],
 )
-@pytest.mark.parametrize("name", ["sensor_id", "id", "topic", "i2c_addr", "channel", "what"])
+@pytest.mark.parametrize("name", ["sensor_id", "id", "topic", "i2c_addr", "channel", *OTHERS])
 def test_rows_of_fingertips_that_alternate_are_refused(
     name: str, fingers: list[object], *, refused: bool
 ) -> None:
-    frame = {"t": [*range(60)], "p0": [*range(60)], "p1": [*range(60)], name: fingers}
+    frame = {"t": [*range(len(fingers))], "p0": fingers, "p1": fingers, name: fingers}
     table = RawTable.of(pl.DataFrame(frame), "pad")
     completed(table, ColumnMap())
-    reasons = [reason for _, reason in (table.warnings if name == "what" else table.problems.values())]
+    reasons = [reason for _, reason in (table.warnings if name in OTHERS else table.problems.values())]
     assert len(reasons) == refused
     for reason in reasons:
         assert reason.startswith(f"column {name} alternates between 2")

@@ -54,6 +54,7 @@ EXPECTED = {"t": [0, 0.01], "p0": [500, 502], "p1": [501, 503]}
         (f"t,p0,p1\n\n{BODY}\n\n", "t p0 p1", 3),
         (f"t,p0,p1\n{BODY[:13]}t,p0,p1\n{BODY[13:]}", "t p0 p1", 2),  # a logger that started again
         (f"\ufeff# a rig\nt,p0,p1\n{BODY}", "t p0 p1", 3),
+        (f"Log,of,of\nt,p0,p1\n{BODY}", "t p0 p1", 3),
     ],
 )
 def test_a_table_is_found_below_other_lines(write: Write, content: str, names: str, first: int) -> None:
@@ -72,7 +73,8 @@ def test_lines_that_are_left_out_are_counted(write: Write) -> None:
 def test_a_row_of_units_is_not_a_row_of_values(write: Write, units: str) -> None:
     found = read_table(write(f"t,p0,p1\n{units}\n{BODY}")).units
     assert (found["t"], found["p0"], found["p1"].strip("-")) == ("s", "kPa", "")
-    assert read_table(write(f"t,p0,p1\n{BODY}")).units == {}
+    for first in ("", "0.00,<NA>,<NA>\n", "14:29,ERR,ERR\n"):
+        assert read_table(write(f"t,p0,p1\n{first}{BODY}")).units == {}
 
 
 def test_an_unknown_unit_matters_only_if_its_column_is_used(write: Write) -> None:

@@ -40,7 +40,7 @@ def test_many_files_are_imported_in_one_call_that_can_be_repeated(tmp_path: Path
     (tmp_path / "bad_vel1.csv").write_text(TRACE)
     again = slipflow(*arguments, cwd=tmp_path)
     assert again.returncode == 0
-    left_out = "left out, the dataset has it; delete it there to import it again, as with another map\n"
+    left_out = "left out, the dataset has it; to import it again or with another map, delete it there\n"
     assert again.stdout.startswith(f"wood_vel1: {left_out}bad_vel1.csv: 300 rows")
     assert again.stdout.endswith(f"steel_vel1: {left_out}")
     changed = slipflow(*arguments, "--map", "layout=3x2", "--dry-run", cwd=tmp_path)
