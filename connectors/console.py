@@ -11,7 +11,7 @@ from operators.ports import Run, Sink
 
 @dataclass(eq=False)
 class Console(Sink[Slips | Faults]):
-    """Slip events and faults as printed lines, coloured on a terminal: time (UTC), fingertip, event.
+    """Slip events and faults as printed lines: time (UTC), fingertip, event.
 
     >>> import asyncio
     >>> import numpy as np
@@ -49,22 +49,16 @@ class Console(Sink[Slips | Faults]):
         if isinstance(batch, Faults):
             for time, fault, begins in faults(batch):
                 kind, change = "range limit" if fault.limit else fault.kind, "begins" if begins else "ends"
-                _print(time, batch.finger, f"barometer {fault.barometer} {kind} {change}", "yellow")
+                _print(time, batch.finger, f"barometer {fault.barometer} {kind} {change}")
             return
         for slip in slips(batch):
             text = f"slip {'onset' if slip.onset else 'end  '}  p {slip.probability:.2f}"
             if self._run and (latency := self._run.latency(slip.time)) is not None:
                 text += f"  sensor to event {latency / ms:.1f} ms"
-            _print(slip.time, batch.finger, text, "bold red" if slip.onset else "green")
+            _print(slip.time, batch.finger, text)
 
 
-def _print(time: int, finger: int, text: str, style: str) -> None:
-    out = sys.stdout  # which commands redirect
-    line = f"{timestamp(time)[:23].replace('T', ' ')}  finger {finger_name(finger)}  {text}"
-    if out.isatty():
-        from rich.console import Console as Terminal
-
-        Terminal(file=out).print(line, style=style, highlight=False, markup=False, soft_wrap=True)
-    else:
-        out.write(f"{line}\n")  # one write per line: other processes may print to the same stream
-        out.flush()
+def _print(time: int, finger: int, text: str) -> None:
+    line = f"{timestamp(time)[:23].replace('T', ' ')}  finger {finger_name(finger)}  {text}\n"
+    sys.stdout.write(line)  # one write per line: other processes may print to the same stream
+    sys.stdout.flush()

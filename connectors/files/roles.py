@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from itertools import chain
 from math import prod
 from typing import Final
 
@@ -43,7 +44,10 @@ _CELL: Final = re.compile(  # words before the number of a cell
 )
 _READING: Final = re.compile("|p|press|pressure|druck|raw|value")  # words after it
 _NUMBERED: Final = re.compile(r"(.*?)(\d{1,3})(?:((?:[\W_]|[rcxRCX]){1,3})(\d{1,3}))?(\D*)")
-_AXES: Final = ("vx", "vy", "vz", "wx", "wy", "wz")
+_AXES: Final = [  # of a velocity: vx, TCP_vx, actual_TCP_speed_0 (UR), twist.linear.x (ROS)
+    re.compile(f"(actual)?tcpspeed{number}|(actual)?(tcp)?{word[0]}{word[-1]}|(twist)?{word[1:]}")
+    for number, word in enumerate(["vlinearx", "vlineary", "vlinearz", "wangularx", "wangulary", "wangularz"])
+]
 _WORDS: Final = {  # usual values of labels
     label: values.split("|")
     for label, values in {
@@ -149,13 +153,10 @@ def _check_interleaved(table: RawTable, unused: Sequence[str]) -> None:
         many, changes = column.n_unique(), int(column.rle_id()[-1])
         if not 1 < many <= _FEW or changes <= max(len(column) / 4, 2 * many - 1):
             continue
-        text = f"column {name} alternates between {many}"
         if _FINGERTIP.fullmatch(_word(name)):
             split = f"for (one,), rows in frame.group_by({name!r}): import_frame(rows, OUT, f'NAME-{{one}}')"
-            reason = f"{text} fingertips: import each in Python, with {split}"
-            table.add_problem(f"{reason}; or delete the column, if it does not tell fingertips")
-        elif (column == column.shift(many)).mean() == 1:
-            table.warn(f"{text} values in turn: if it tells fingertips apart, import each by itself")
+            reason = f"column {name} alternates between {many} fingertips: import each in Python, with"
+            table.add_problem(f"{reason} {split}; or delete the column, if it does not tell fingertips")
 
 
 def cell_groups(names: Sequence[str]) -> list[CellGroup]:
@@ -262,9 +263,12 @@ def _matched(key: str, names: Sequence[str], table: RawTable) -> tuple[str, ...]
 def _usual(quantity: str, free: Sequence[str], table: RawTable) -> tuple[str, ...]:
     """Return those of the `free` columns with a usual name of a quantity; none, if there are none."""
     if quantity == VELOCITY:
-        axes = {_word(split_unit(VELOCITY, each)[0]): each for each in free if not re.search("deg|rpm", each)}
-        size = next((size for size in (6, 3) if set(_AXES[:size]) <= set(axes)), 0)
-        return tuple(axes[axis] for axis in _AXES[:size])
+        words = {
+            each: _word(split_unit(VELOCITY, each)[0]) for each in free if not re.search("deg|rpm", each)
+        }
+        found = [[name for name in words if axis.fullmatch(words[name])] for axis in _AXES]
+        size = next((size for size in (6, 3) if {*map(len, found[:size])} == {1}), 0)
+        return tuple(chain(*found[:size]))
     names = [name for name in free if _has_usual_name(quantity, name)]
     names = ["t"] if "t" in names else names  # T may be a temperature
     if len(names) > 1:

@@ -32,16 +32,13 @@ _WRAPS: Final[Mapping[int, str]] = {  # ns: after which clocks start again at 0
     65_536_000_000: "16-bit clock of milliseconds",
     86_400_000_000_000: "time of day",
 }
-_HOUR: Final = {3_600_000_000_000: "time within an hour"}  # of minutes and seconds
 _LIMIT: Final = float(1 << 63)  # ns
 _EPOCHS: Final = (9e8, 4.2e9)  # s; from 1998 to 2103
 _DIGITS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}  # decimal places of a time, down to 1 ns
 CLOCK: Final = r"\d{1,2}:\d{2}"
-_MINUTES: Final = rf"^({CLOCK}[.,]\d)"  # and seconds
 _TEXT: Final = rf"{CLOCK}|^\d{{4}}-\d{{1,2}}-|^\d{{1,2}}[./-]\d{{1,2}}[./-]\d"
 _FORMS: Final = {  # that texts of times are brought into before they are parsed
     r"^(\d{1,4})[-/. ](\d{1,2}|[A-Za-z]{3})[-/. ](\d{1,4})[T_,; ]+": "${1}-${2}-${3} ",
-    _MINUTES: "1970-01-01 00:${1}",
     rf"^({CLOCK}(?::|$| ))": "1970-01-01 ${1}",
     r"(:\d{2}),(\d)": "${1}.${2}",
     r" ?(?:Z|UTC|GMT)$": "+00:00",
@@ -84,7 +81,7 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
     table.check(name, raw.is_not_null().to_numpy(), what)
     if raw.null_count():
         return columns, unknown, ()
-    time = continued(raw.to_numpy(), table.notes, _HOUR if is_text_of_time(column, _MINUTES) else _WRAPS)
+    time = continued(raw.to_numpy(), table.notes)
     parts = _parts(table, name, time, split=split)
     rate = _rate(table, name, time, parts, columns.rate)
     plausible = rate is None or SLOWEST <= rate <= FASTEST
@@ -117,12 +114,12 @@ def _warn_of_gaps(table: RawTable, time: Times, start: int, rate: float) -> None
         table.warn(f"{missing} of {expected + 1} samples are missing", start)
 
 
-def continued(time: Times, notes: list[str], wraps: Mapping[int, str]) -> Times:
+def continued(time: Times, notes: list[str]) -> Times:
     """Return times (n,) whose clock goes on where it wrapped, such as micros() of an Arduino, and note it."""
     steps = np.diff(time)
     usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
     for row in np.flatnonzero(steps < 0)[:_MOST]:
-        for span, clock in wraps.items():
+        for span, clock in _WRAPS.items():
             if 0 <= steps[row] + span <= _NEAR * usual:
                 steps[row] += span
                 notes.append(f"the {clock} wrapped after row {row + 1}: continued")

@@ -3,9 +3,8 @@
 import asyncio
 import logging
 from collections.abc import AsyncGenerator, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
 
 import msgspec
 
@@ -23,9 +22,6 @@ from operators.ports import Clock, Finding, Json, Run, Sink
 from storage.files import check_disk
 
 log = logging.getLogger("slipflow")
-
-_STEPS_MAX: Final = 10  # newest steps of the host clock in a report
-_SINK: Final = ("rows", "queued", "dropped", "failures")  # counters in a report
 
 
 @dataclass(eq=False)
@@ -123,7 +119,7 @@ class Mqtt(Sink[Slips | Faults]):
         self._sender = Sender(self._broker, self._topic, self._outbox, self._documents, self._report)
         online = self._status("online", run.clock.now())
         try:
-            documents = online, self._info(), self._head(), self._report(), *self._no_slips()
+            documents = online, self._head(), self._report(), *self._no_slips()
             will = self._status("offline", None)
             await self._sender.start(identifier, will, *documents, connect_required=self.connect_required)
         except BaseException:
@@ -214,17 +210,6 @@ class Mqtt(Sink[Slips | Faults]):
         when = None if since is None else timestamp(since)  # unknown for a will
         return self._about_run("status", state=state, version=software_version(), since=when)
 
-    def _info(self) -> Message:
-        return self._about_run(
-            "info",
-            flow=self._run.flow,
-            sources={name: dict(description) for name, description in self._run.describe.items()},
-            model=self._model.values(),
-            threshold=self.threshold,
-            consecutive=self.consecutive,
-            units={"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
-        )
-
     def _head(self) -> Message:
         heads = self._outbox.heads()
         *before, head = [dict[str, Json](epoch=each, last_seq=last) for each, last in heads]
@@ -243,24 +228,14 @@ class Mqtt(Sink[Slips | Faults]):
 
 
 def health(run: Run) -> dict[str, Json]:
-    """Return the state of the sources and sinks of a run, and the newest steps of the host clock.
-
-    A source is ``up``, ``stale`` (it has not failed, but was silent for `Source.stale_after`) or ``down``.
-    """
+    """Return the state of each source: ``up``, ``stale`` (silent for `Source.stale_after`) or ``down``."""
     now = run.clock.now()
     sources: dict[str, Json] = {
         name: {
             "state": "up" if source.up else "stale" if source.stale else "down",
             "lag_ms": (now - source.newest) / ms if source.newest else None,
             "rows": source.rows,
-            "late": source.late,
-            "gaps": len(source.gaps),
         }
         for name, source in run.sources.items()
     }
-    sinks: dict[str, Json] = {
-        name: {key: getattr(sink, key) for key in _SINK} | {"error": sink.error or None}
-        for name, sink in run.sinks.items()
-    }
-    steps = [asdict(step) for step in run.clock_steps[-_STEPS_MAX:]]
-    return {"time_ns": now, "sources": sources, "sinks": sinks, "clock_steps": steps}
+    return {"time_ns": now, "sources": sources}

@@ -16,7 +16,7 @@ from connectors.mqtt.mqtt_sink import health
 from operators.batch import Slips, ms, s
 from operators.errors import EndpointError
 from operators.health import FaultKind
-from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
+from operators.ports import Run, SourceStatus
 from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener
 from tests.connectors.mqtt.made import opened, slips
 from tests.connectors.web.reading import fault
@@ -106,7 +106,6 @@ async def test_events_and_health_tell_which_faults_last(
 async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents(
     broker: TestBroker, run: Run, number: signal.Signals
 ) -> None:
-    run.describe["touch"] = {"sensor": "TakkTile", "rate_hz": 100.0, "noise": float("nan")}
     sink = Mqtt(broker.url, rig="rig")
     async with opened(sink, run):
         await sink.write(slips(1))
@@ -118,11 +117,10 @@ async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents
         await sent(sink)
         await until(lambda: not inside(sink, "_sender", "_changed"))
         listener = broker.listen("slip/#")
-        found = {received.topic: read(received) for received in (listener.next() for _ in range(5))}
+        found = {received.topic: read(received) for received in (listener.next() for _ in range(4))}
     epoch = inside(sink, "_outbox").epoch
-    status, info, state = (found[f"{RIG}/{name}"] for name in ("status", "info", "0/state"))
+    status, state = (found[f"{RIG}/{name}"] for name in ("status", "0/state"))
     assert (status["state"], status["session"], status["epoch"]) == ("online", "run1", epoch)
-    assert info["sources"] == {"touch": {"sensor": "TakkTile", "rate_hz": 100.0, "noise": None}}
     assert state == {
         "slip": False,
         "p": 0.9,
@@ -209,21 +207,14 @@ def test_a_run_without_rights_to_publish_does_not_start(tmp_path: Path, run: Run
         assert not links[0].alive
 
 
-def test_a_health_report_has_lag_gaps_dropped_rows_and_the_newest_clock_steps(run: Run) -> None:
-    gap = Gap(91 * s, 92 * s, "unplugged")
-    run.sources["touch"] = SourceStatus(rows=10, late=2, newest=100 * s - 5 * ms, up=True, gaps=[gap])
+def test_a_health_report_has_the_state_lag_and_rows_of_each_source(run: Run) -> None:
+    run.sources["touch"] = SourceStatus(rows=10, newest=100 * s - 5 * ms, up=True)
     run.sources["motion"], run.sources["force"] = SourceStatus(), SourceStatus(stale=True)
-    counters: dict[str, Any] = {"rows": 9, "queued": 1, "dropped": 3, "failures": 2}
-    run.sinks["dataset"], run.sinks["mqtt"] = SinkStatus(**counters, error="disk full"), SinkStatus()
-    run.clock_steps += [ClockStep(k * s, k * ms) for k in range(20)]
     report: Any = health(run)
     assert report["time_ns"] == NOW
-    silent = {"lag_ms": None, "rows": 0, "late": 0, "gaps": 0}
+    silent = {"lag_ms": None, "rows": 0}
     assert report["sources"] == {
-        "touch": {"state": "up", "lag_ms": 5, "rows": 10, "late": 2, "gaps": 1},
+        "touch": {"state": "up", "lag_ms": 5, "rows": 10},
         "motion": {"state": "down", **silent},
         "force": {"state": "stale", **silent},
     }
-    assert report["sinks"]["dataset"] == {**counters, "error": "disk full"}
-    assert report["sinks"]["mqtt"]["error"] is None
-    assert report["clock_steps"] == [{"time": k * s, "offset": k * ms} for k in range(10, 20)]
