@@ -35,5 +35,5 @@ def lift(
     rule = Grip(force=force, max_force=max_force, threshold=debounce.threshold, settle=SETTLE)
     scores = flow.source(TakkTile(bus=bus)) | Zero() | Score(load_detector(detector))
     (scores | debounce).to(Console())
-    (scores | rule).to(Gripper(gripper, limits=(WEAKEST, max_force)))
+    (scores | rule).to(Gripper(gripper))
     return flow

@@ -35,7 +35,7 @@ class _Listener(event.Listener):
         self.begun = True
 
     def on_end(self, event: object) -> None:
-        """Log nothing."""
+        """Do nothing; numba calls it."""
 
 
 _ADDRESS: Final = re.compile(" at 0x[0-9a-f]+")  # differs in each process

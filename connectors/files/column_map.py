@@ -216,7 +216,7 @@ def expanded(text: str) -> list[str]:
 
 
 def shortened(names: Sequence[str]) -> str:
-    """Return columns as a map states them: a range if they are one; ? stands for a sign of the map itself."""
+    """Return columns as a map states them: a range if they are one; ? replaces a comma, = or bracket."""
     names = [re.sub(r"[][,=]", "?", name) if re.search("[,=]", name) else name for name in names]
     with suppress(ParameterError):
         if names[2:] and expanded(text := f"{names[0]}..{names[-1]}") == [*names]:

@@ -72,7 +72,7 @@ def readings_of(table: RawTable, columns: ColumnMap) -> tuple[ColumnMap, Counts,
 
 
 def _check_signal(table: RawTable, readings: Reals, columns: ColumnMap, *, inherited: bool) -> None:
-    """Find cells of which a concluded resolution leaves one reading, or few of many different ones.
+    """Find cells that the concluded resolution makes constant, or almost constant.
 
     That is a problem if rare readings far from the others make the steps large, or if those of earlier files
     leave nothing; a cell that is pressed much less than the others is a warning.

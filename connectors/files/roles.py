@@ -109,6 +109,7 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
     mapped = {key: _matched(key, names, table) for key, names in stated.columns.items()}
     taken = {name for names in mapped.values() for name in names}
     free = [name for name in table.columns if name not in taken]
+    groups = [group for group in groups if not {*group.names} & {*chain(*_axes(free))}]
     for quantity in SIZES:
         keys = [key for key in mapped if _quantity(key) == quantity]
         found |= {key: mapped[key] for key in keys}
@@ -216,10 +217,10 @@ def split_unit(quantity: str, name: str) -> tuple[str, str]:
 
 
 def has_temperature(name: str) -> bool:
-    """Return True if a name, or its unit, tells that a numbered column is a temperature."""
+    """Return True if the name or unit of a numbered column is that of a temperature."""
     stem, unit = split_unit(COUNTS, name)
-    kelvin = unit != "T" and _TEMPERATURE.fullmatch(unit)
-    return bool(kelvin or _TEMPERATURE.fullmatch(_suffix(stem)) or _word(name).startswith("temp"))
+    degrees = unit != "T" and _TEMPERATURE.fullmatch(unit)
+    return bool(degrees or _TEMPERATURE.fullmatch(_suffix(stem)) or _word(name).startswith("temp"))
 
 
 def label_values(labels: Mapping[str, Sequence[str]]) -> dict[str, str]:
@@ -263,18 +264,24 @@ def _matched(key: str, names: Sequence[str], table: RawTable) -> tuple[str, ...]
 def _usual(quantity: str, free: Sequence[str], table: RawTable) -> tuple[str, ...]:
     """Return those of the `free` columns with a usual name of a quantity; none, if there are none."""
     if quantity == VELOCITY:
-        words = {
-            each: _word(split_unit(VELOCITY, each)[0]) for each in free if not re.search("deg|rpm", each)
-        }
-        found = [[name for name in words if axis.fullmatch(words[name])] for axis in _AXES]
-        size = next((size for size in (6, 3) if {*map(len, found[:size])} == {1}), 0)
-        return tuple(chain(*found[:size]))
+        found = _axes(free)
+        size = next((size for size in (6, 3) if all(found[:size])), 0)
+        if several := [names for names in found[:size] if names[1:]]:
+            text = f"columns {' and '.join(several[0])} may be the same component of the velocity"
+            table.add_problem(f"{text}; state velocity=...", about=quantity)
+        return tuple(each[0] for each in found[:size])
     names = [name for name in free if _has_usual_name(quantity, name)]
     names = ["t"] if "t" in names else names  # T may be a temperature
     if len(names) > 1:
         text = f"columns {' and '.join(names)} may be {quantity}; state one, as {quantity}={names[0]}"
         table.add_problem(text, about=quantity)
     return tuple(names[:1])
+
+
+def _axes(free: Sequence[str]) -> list[list[str]]:
+    """Return the columns with a usual name of each component of a velocity."""
+    words = {each: _word(split_unit(VELOCITY, each)[0]) for each in free if not re.search("deg|rpm", each)}
+    return [[name for name in words if axis.fullmatch(words[name])] for axis in _AXES]
 
 
 def _has_usual_name(quantity: str, name: str) -> bool:
@@ -365,7 +372,7 @@ def _suggested(
 
 
 def _rises(column: pl.Series) -> bool:
-    """Return True for dates, and for numbers that rise; not if they count the rows."""
+    """Return True for dates, and for numbers that rise, but not in steps of 1, which count the rows."""
     text = column.str.replace(",", ".", literal=True) if column.dtype == pl.String else column
     steps = text.cast(pl.Float64, strict=False).diff().drop_nulls()
     return is_text_of_time(column) or bool(len(steps) and (steps > 0).all() and (steps != 1).any())

@@ -138,7 +138,7 @@ def _add_unit_problem(table: RawTable, name: str, rate: float, unit: str) -> Non
         remedy = " or ".join(likely) or "another unit (convert days with polars)"
         fix = likely[0].partition(" ")[0] if likely else None
         if rate == 1:
-            remedy, fix = f"time=,rate=... if it counts rows, {remedy}", "time=,rate=ROWS_PER_SECOND"
+            remedy, fix = f"time=,rate=... (if it counts rows) or {remedy}", "time=,rate=ROWS_PER_SECOND"
         table.add_problem(f"{reason}; state {remedy}, or units.time={unit}", fix=fix)
 
 
@@ -196,7 +196,7 @@ def _epoch_unit(values: pl.Series) -> str:
 
 
 def is_text_of_time(column: pl.Series, pattern: str = _TEXT) -> bool:
-    """Return True if the first value of a column is a text of a pattern, usually any date or time of day."""
+    """Return True if the first value of a column is a text with a pattern: of a date or time of day."""
     texts = column.dtype == pl.String
     return texts and bool(column.filter(column != "").head(1).str.contains(pattern).any())
 

@@ -55,7 +55,7 @@ class Gripper(Sink[Commands]):
     the first commanded force, and stop at an object. Closing the sink leaves them as they are.
 
     A command is executed on arrival, whatever its timestamp. A force of NaN has no effect; others are limited
-    to `limits`. A lower force may not loosen the grip: according to the manual, stopped fingers move again
+    to 15 to 60 N. A lower force may not loosen the grip: according to the manual, stopped fingers move again
     only for a higher force or another position.
 
     A restarted gripper is activated and grips again. A gripper that fails (silent, lost, or with a fault) is
@@ -67,7 +67,6 @@ class Gripper(Sink[Commands]):
     Args:
         host: Address of the gripper.
         unit: Modbus unit id; 0 or 9 with some adapters.
-        limits: Minimum and maximum force, N.
 
     Attributes:
         status: Newest status; None while the gripper cannot be reached.
@@ -75,14 +74,13 @@ class Gripper(Sink[Commands]):
     Raises:
         ParameterError: on an invalid value.
 
-    >>> Gripper("10.0.0.3", limits=(15, 40)).destination
+    >>> Gripper("10.0.0.3").destination
     'modbus://10.0.0.3:502/2'
     """
 
     host: str
     port: int = PORT
     unit: int = UNIT
-    limits: tuple[float, float] = (WEAKEST, STRONGEST)
 
     extra = "gripper"
     lossless = False  # only the newest command matters
@@ -94,10 +92,6 @@ class Gripper(Sink[Commands]):
         for name, highest in (("port", 65535), ("unit", FULL)):
             if not (isinstance(value := getattr(self, name), int) and 0 <= value <= highest):
                 raise ParameterError("Gripper", name, value, f"a whole number from 0 to {highest}")
-        low, high = self.limits
-        if not WEAKEST <= low <= high <= STRONGEST:
-            must_be = f"two increasing forces from {WEAKEST} to {STRONGEST} N"
-            raise ParameterError("Gripper", "limits", self.limits, must_be)
         self._serving: BackgroundTask | None = None  # None: not open
         self._reset()
 
@@ -170,8 +164,7 @@ class Gripper(Sink[Commands]):
             self._serving.check()
         forces = batch.force[~np.isnan(batch.force)]
         if len(forces):
-            low, high = self.limits
-            force = min(max(float(forces[-1]), low), high)
+            force = min(max(float(forces[-1]), WEAKEST), STRONGEST)
             self._target = Request(active=True, force=force_register(force))
             self._changed.set()
         if self._failure:

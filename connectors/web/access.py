@@ -47,7 +47,7 @@ def required_token(what: str, host: str) -> str | None:
     """
     token = os.environ.get(TOKEN) or None
     if token is None and not is_loopback(host):
-        raise ParameterError(what, "host", host, f"127.0.0.1 (this machine) unless {TOKEN} has a token")
+        raise ParameterError(what, "host", host, f"127.0.0.1, or set {TOKEN} for other machines")
     if token is not None and not _TOKEN.fullmatch(token):
         must_be = "16 to 256 letters, digits, '.', '_', '~' or '-', for example from: openssl rand -hex 16"
         raise ParameterError(what, "token", "...", must_be)

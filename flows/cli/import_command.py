@@ -2,13 +2,11 @@
 
 import shlex
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 import typer
 
 from flows.cli.terminal import note, progress_bar
-
-_LEFT_OUT: Final = "left out, the dataset has it; to import it again or with another map, delete it there"
 
 
 def import_(
@@ -76,7 +74,8 @@ def import_(
                 typer.echo(found.report(short=found.interpretation() == columns_before))
                 columns_before = found.interpretation()
             if left_out:
-                typer.echo(f"{found.session}: {_LEFT_OUT}")
+                there = f"{out}/sessions/{found.session}"
+                typer.echo(f"{found.session}: left out, the dataset has it; to replace it, delete {there}")
     if failed:
         note(f"error: {failed} of {counted(len(files), 'file')} cannot be imported: repair and repeat")
         raise typer.Exit(2)

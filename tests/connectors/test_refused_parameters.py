@@ -32,7 +32,6 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
     Move: [{"rest": -0.1}, {"motion": "translation", "rest": 0.5}],
     Gripper: [
         *({"port": 65536}, {"port": "502"}, {"unit": -1}),
-        *({"limits": each} for each in ((10.0, 40.0), (15.0, 61.0), (40.0, 20.0), (nan, 20.0))),
     ],
     Mqtt: [
         *(

@@ -100,7 +100,7 @@ def learned(card: Mapping[str, Any], recordings: Iterable[LabelledRecording]) ->
 def repeated(recordings: Sequence[LabelledRecording], parts: Sequence[str]) -> list[str]:
     """Return a line for each recording that appears in two parts, such as splits, of a dataset.
 
-    Recordings whose counts never change do not count: all of one length are equal.
+    Recordings whose counts never change are left out, because all of one length are equal.
     """
     first, lines = dict[str, tuple[str, str]](), list[str]()
     for recording, part in zip(recordings, parts, strict=True):

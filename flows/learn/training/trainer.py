@@ -130,7 +130,7 @@ def train(
     if out.suffix != ".safetensors":
         raise ParameterError("train", "out", str(out), "a path that ends in .safetensors")
     if start is not None and (shipped(start) or Path(start)).resolve() == out.resolve():
-        must_be = "another file than --from, which it is compared with and may have to be kept"
+        must_be = "another file than that of --from: training compares both models"
         raise ParameterError("train", "out", str(out), must_be)
     parent = None if start is None else load_detector(start)
     if not isinstance(parent, Tcn | None):

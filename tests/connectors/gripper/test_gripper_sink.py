@@ -133,12 +133,12 @@ async def test_rows_without_a_force_have_no_effect() -> None:
         assert [each.force for each in at.writes] == [None, 85]
 
 
-async def test_forces_outside_the_limits_are_clipped() -> None:
-    async with lab() as at, at.gripping(limits=(20.0, 40.0)) as gripper:
-        for force in (5.0, 41.0, 30.0, -inf, inf):
+async def test_forces_outside_those_of_the_gripper_are_clipped() -> None:
+    async with lab() as at, at.gripping() as gripper:
+        for force in (5.0, 61.0, 30.0, -inf, inf):
             await gripper.write(commands(force))
             await asyncio.sleep(0.1)
-        assert [each.force for each in at.writes[1:]] == [28, 141, 85, 28, 141]
+        assert [each.force for each in at.writes[1:]] == [0, 255, 85, 0, 255]
 
 
 async def test_a_silent_gripper_fails_and_later_gets_the_newest_force() -> None:

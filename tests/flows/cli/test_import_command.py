@@ -40,9 +40,9 @@ def test_many_files_are_imported_in_one_call_that_can_be_repeated(tmp_path: Path
     (tmp_path / "bad_vel1.csv").write_text(TRACE)
     again = slipflow(*arguments, cwd=tmp_path)
     assert again.returncode == 0
-    left_out = "left out, the dataset has it; to import it again or with another map, delete it there\n"
-    assert again.stdout.startswith(f"wood_vel1: {left_out}bad_vel1.csv: 300 rows")
-    assert again.stdout.endswith(f"steel_vel1: {left_out}")
+    left_out = "left out, the dataset has it; to replace it, delete out/sessions/"
+    assert again.stdout.startswith(f"wood_vel1: {left_out}wood_vel1\nbad_vel1.csv: 300 rows")
+    assert again.stdout.endswith(f"steel_vel1: {left_out}steel_vel1\n")
     changed = slipflow(*arguments, "--map", "layout=3x2", "--dry-run", cwd=tmp_path)
     assert changed.returncode == 0
     assert changed.stdout.count(left_out) == 3

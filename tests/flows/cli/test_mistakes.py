@@ -55,7 +55,7 @@ MISTAKES = [
     ("evaluate", "needs a dataset, or --stress without one"),
     ("evaluate TINY --hold-out all --split validation", "judges groups of all splits: omit --split"),
     ("train TINY --method lstm", "--method is 'lstm', must be one of tcn, frequency_cnn, paper_tcn"),
-    ("train TINY --from m.safetensors -o ./m.safetensors", "must be another file than --from"),
+    ("train TINY --from m.safetensors -o ./m.safetensors", "must be another file than that of --from"),
     ("evaluate --stress --chart", "omit --split, --hold-out and --chart"),
     ("evaluate TINY --method oracle", "oracle: is not a method"),
     ("evaluate nowhere --method missing.safetensors", "missing.safetensors: cannot be read"),
