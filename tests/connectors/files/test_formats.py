@@ -202,7 +202,7 @@ def test_a_time_without_unit_is_refused_if_seconds_are_implausible() -> None:
             trace([1_000_000_000 + step * k for k in range(60)])
     with pytest.raises(InputError, match=r"state another unit \(convert days with polars\), or units.time=s"):
         trace([45742.6 + k / 8_640_000 for k in range(60)])
-    with pytest.raises(InputError, match=r"state time=,rate=... (if it counts rows) or .*,rate=ROWS_PER_SECOND,"):
+    with pytest.raises(InputError, match=r"\(if it counts rows\) or .*,rate=ROWS_PER_SECOND,"):
         trace([*range(60)])
     assert trace([10 * k for k in range(60)], "units.time=ms").columns.rate == 100
     assert any(
