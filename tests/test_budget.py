@@ -21,7 +21,7 @@ BUDGET = {  # lower a number when the project has become smaller; never raise on
     "tests": 29_486,
     "commands": 16,
     "options": 70,
-    "words": 35_097,
+    "words": 35_050,
 }
 
 
