@@ -149,12 +149,10 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
 
 def _check_interleaved(table: RawTable, unused: Sequence[str]) -> None:
     """Add the problem that rows of several fingertips alternate, by a column that tells the fingertip."""
-    for name in unused:
+    for name in filter(lambda each: _FINGERTIP.fullmatch(_word(each)), unused):
         column = table.columns[name]
         many, changes = column.n_unique(), int(column.rle_id()[-1])
-        if not 1 < many <= _FEW or changes <= max(len(column) / 4, 2 * many - 1):
-            continue
-        if _FINGERTIP.fullmatch(_word(name)):
+        if 1 < many <= _FEW and changes > max(len(column) / 4, 2 * many - 1):
             split = f"for (one,), rows in frame.group_by({name!r}): import_frame(rows, OUT, f'NAME-{{one}}')"
             reason = f"column {name} alternates between {many} fingertips: import each in Python, with"
             table.add_problem(f"{reason} {split}; or delete the column, if it does not tell fingertips")

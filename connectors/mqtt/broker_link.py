@@ -338,6 +338,8 @@ def _login(broker: Broker) -> Finding:
     """Return how the client logs in, with a note if its password can be read on the network."""
     user, password = broker.login()
     who = f"user {user}{' with a password' if password else ''}" if user else "any client"
+    if broker.scheme == "mqtts" and (own := os.environ.get(CERTIFICATE)):
+        return Finding(str(broker), f"admits {who if user else 'this client'} with the certificate {own}")
     if password and broker.scheme == "mqtt" and not is_loopback(broker.host):
         text = f"admits {who}, sent without encryption: set up TLS and write mqtts://"
         return Finding(str(broker), text, "note")

@@ -228,7 +228,7 @@ class Mqtt(Sink[Slips | Faults]):
 
 
 def health(run: Run) -> dict[str, Json]:
-    """Return the state of each source: ``up``, ``stale`` (silent for `Source.stale_after`) or ``down``."""
+    """Return the time, and the sources: each ``up``, ``stale`` (for `Source.stale_after`) or ``down``."""
     now = run.clock.now()
     sources: dict[str, Json] = {
         name: {

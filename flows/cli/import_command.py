@@ -59,7 +59,7 @@ def import_(
     from storage.toml_text import read_text
 
     stated = ColumnMap.parse(read_text(Path(columns[1:])) if columns.startswith("@") else columns)
-    failed, last, columns_before = 0, "", list[str]()
+    failed, last, columns_before = 0, out, list[str]()
     with progress_bar("importing") as update:
         update(0, len(files), files[0].name)
         done = import_files(files, out, stated, group=group, split=split, dry_run=dry_run)
@@ -69,17 +69,16 @@ def import_(
                 failed += 1
                 typer.echo(f"error: {found}" if str(path) in str(found) else f"error: {path}: {found}")
                 continue
-            last, left_out = found.session, found.state == "present"
+            last, left_out = out / "sessions" / found.session, found.state == "present"
             if dry_run or not left_out:
                 typer.echo(found.report(short=found.interpretation() == columns_before))
                 columns_before = found.interpretation()
             if left_out:
-                there = f"{out}/sessions/{found.session}"
-                typer.echo(f"{found.session}: left out, the dataset has it; to replace it, delete {there}")
+                typer.echo(f"{found.session}: left out, the dataset has it; to replace it, delete {last}")
     if failed:
         note(f"error: {failed} of {counted(len(files), 'file')} cannot be imported: repair and repeat")
         raise typer.Exit(2)
     if dry_run:
         note("dry run: nothing written; next: the same command without --dry-run")
     else:
-        note(f"next: slipflow show {shlex.quote(str(out / 'sessions' / last))}")
+        note(f"next: slipflow show {shlex.quote(str(last))}")
