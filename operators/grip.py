@@ -12,7 +12,7 @@ from operators.batch import Commands, Scores, ms, s
 from operators.checks import check_above, check_at_least, check_between, check_whole
 from operators.operator import Operator
 
-_MOST: Final = 1e6  # N, or 1/s; no gripper exceeds it
+_MOST: Final = 1e6  # of forces (N), rates (1/s) and the margin; no gripper exceeds it
 _SHORTEST_GAP: Final = 50 * ms  # ns between two decisions
 _GAP: Final = 3  # usual intervals; a gap is longer
 _USUAL: Final = 5  # intervals whose median is the usual one
