@@ -62,6 +62,9 @@ class Batch(Declared):
     def rows(cls, *values: Any, finger: int = EVERY) -> Self:
         """Return packed rows of these columns, as a source yields them; lists serve as well as arrays.
 
+        Raises:
+            BatchError: if whole numbers are fractions or out of the range of their column.
+
         >>> Scores.rows([1, 2], 0.5).probability
         array([0.5, 0.5])
         """
@@ -70,7 +73,7 @@ class Batch(Declared):
         cells = next((shape[-1] for shape in shapes if len(shape) > 1), BAROMETERS)
         rows = np.zeros(len(values[0]), packed_type(cls, cells))
         for name, value in zip(names, values, strict=True):
-            rows[name] = value if len(rows) else 0
+            _store(cls, rows, name, value if len(rows) else 0)
         return cls.unpack(rows, finger)
 
     def later(self, by: int) -> Self:
@@ -195,11 +198,24 @@ class Layout:
 
 
 def pack(batch: Batch, row: np.dtype[Any]) -> NDArray[Any]:
-    """Return the rows of a batch as one array; columns that the row lacks are left out."""
+    """Return the rows of a batch as one array; columns that the row lacks are left out.
+
+    Raises:
+        BatchError: if a column of whole numbers has values that are fractions or out of its range.
+    """
     rows = np.zeros(len(batch), row)
     for name in row.names or ():
-        rows[name] = getattr(batch, name)
+        _store(type(batch), rows, name, getattr(batch, name))
     return rows
+
+
+def _store(kind: type[Batch], rows: NDArray[Any], name: str, value: Any) -> None:
+    """Store a column in packed rows, unless that would change whole numbers."""
+    stored: NDArray[Any] = rows[name]
+    stored[...] = value
+    wanted = stored.dtype
+    if wanted.kind == "i" and getattr(value, "dtype", None) is not wanted and np.any(stored != value):
+        raise BatchError(kind.__name__, name, f"has values that {wanted} cannot hold")
 
 
 def packed_type(kind: type[Batch], cells: int = BAROMETERS) -> np.dtype[Any]:

@@ -61,7 +61,8 @@ class Declared:
             if Declared not in cls.__bases__ and not is_column and "ClassVar" not in str(hint):
                 reason = f"is not a column: write {name}: Reals = column(np.float64, unit=...)"
                 raise BatchError(cls.__name__, name, reason)
-            if is_column and (hasattr(np.record, name) or any(hasattr(base, name) for base in cls.__bases__)):
+            taken = any(hasattr(base, name) or name in declared.get(base, ()) for base in cls.__bases__)
+            if is_column and (taken or hasattr(np.record, name)):
                 reason = "is a name that batches or rows of numpy use: choose another one"
                 raise BatchError(cls.__name__, name, reason)
         dataclass(eq=False)(cls)

@@ -136,12 +136,13 @@ def _contents(code: CodeType) -> tuple[str, list[str]]:
 
 @intrinsic
 def _copy(context: Any, out: Any, row: Any) -> Any:
-    """Compile `steps.copy`: the columns of the shorter row lie at the same place in both."""
+    """Compile `steps.copy`: the columns that both rows have are their first ones."""
     ours, theirs = (cast("Any", as_struct_dtype(each)).fields for each in (out, row))
-    shorter, longer = sorted((ours, theirs), key=len)
-    if any(longer.get(name) != each for name, each in shorter.items()):
-        raise TypingError(f"cannot copy: {list(longer)} does not begin with the columns {list(shorter)}")
-    size = max(offset + kind.itemsize for kind, offset in shorter.values())
+    common = len(ours.keys() & theirs.keys())
+    columns, same = ([*each.items()][:common] for each in (ours, theirs))
+    if columns != same:
+        raise TypingError(f"cannot copy: {list(ours)} and {list(theirs)} do not begin with the same columns")
+    size = max(offset + kind.itemsize for _, (kind, offset) in columns)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> None:
         pointers = [builder.bitcast(each, cgutils.voidptr_t) for each in arguments]

@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 from math import isfinite, isnan, nan, sqrt
-from typing import Final
+from numbers import Real
+from typing import Any, Final
 
 import numpy as np
 
@@ -89,12 +90,22 @@ class MaskLifted(Operator[Labelled, Labelled]):
     Args:
         contact_pose: TCP pose at first contact, m and rotation vector; z points into the surface.
 
+    Raises:
+        ParameterError: if the pose is not six finite numbers.
+
     >>> samples = Labelled.empty()
     >>> len(MaskLifted((0, 0, 0.1, 3.14, 0, 0)).push(samples))
     0
     """
 
     contact_pose: tuple[float, float, float, float, float, float]
+
+    def __post_init__(self) -> None:
+        pose: Any = self.contact_pose
+        numbers = [v for v in pose if isinstance(v, Real) and isfinite(v)] if np.iterable(pose) else []
+        if len(numbers) != 6 or len(pose) != 6:
+            must_be = "six finite numbers: position (m) and rotation vector (rad)"
+            raise ParameterError("MaskLifted", "contact_pose", pose, must_be)
 
     def steps(self, *given: RowType) -> Steps:
         """Return the step."""

@@ -12,7 +12,7 @@ from typing import Any, Generic, Never, NoReturn, Self, TypeVar, cast, get_args
 import numpy as np
 
 from operators.batch import EVERY, Batch, layout
-from operators.errors import ParameterError
+from operators.errors import InputError
 from operators.fingertip import Fingertip
 from operators.segment import EARLIEST, Outputs, Segment, Stage
 from operators.steps import RowType, Steps
@@ -220,15 +220,15 @@ def require_process(operator: AnyOperator) -> None:
     """Require that an operator without steps has `process`.
 
     Raises:
-        ParameterError: if it has not.
+        InputError: if it has not.
     """
     if not fuses(kind := type(operator)) and cast("Any", kind).process in {Operator.process, Join.process}:
         raise _without_process(operator)
 
 
-def _without_process(operator: AnyOperator) -> ParameterError:
-    must_be = "a method that takes batches, as in def process(self, batch: Scores) -> Scores"
-    return ParameterError(type(operator).__name__, "process", "missing", must_be)
+def _without_process(operator: AnyOperator) -> InputError:
+    takes = "left: Touch, right: Motion" if isinstance(operator, Join) else "batch: Scores"
+    return InputError(type(operator).__name__, f"has no process: write def process(self, {takes})")
 
 
 @cache
@@ -236,7 +236,7 @@ def input_types(kind: type[AnyOperator]) -> tuple[type[Batch], ...]:
     """Return the input types that a class declares, as ``class Smooth(Operator[Scores, Scores])``.
 
     Raises:
-        ParameterError: if it declares none.
+        InputError: if it declares none.
     """
     return _declared(kind)[:-1]
 
@@ -246,7 +246,7 @@ def output_type(kind: type[AnyOperator]) -> type[Batch]:
     """Return the output type that a class declares.
 
     Raises:
-        ParameterError: if it declares none.
+        InputError: if it declares none.
     """
     return _declared(kind)[-1]
 
@@ -258,5 +258,5 @@ def _declared(kind: type[AnyOperator]) -> tuple[type[Batch], ...]:
             if found and all(isinstance(given, type) and issubclass(given, Batch) for given in found):
                 return tuple(found)
     base = "Join[Touch, Motion, Sample]" if issubclass(kind, Join) else "Operator[Scores, Scores]"
-    must_be = f"batch types, as in class {kind.__name__}({base})"
-    raise ParameterError(kind.__name__, "the types of input and output", "unknown", must_be)
+    reason = f"declares no batch types of input and output: write class {kind.__name__}({base})"
+    raise InputError(kind.__name__, reason)

@@ -1,12 +1,13 @@
 """Pooling of cells into groups."""
 
-import math
 from dataclasses import dataclass, replace
+from math import isfinite
+from numbers import Real
+from typing import Any, cast
 
 import numpy as np
 
 from operators.batch import Times, Touch, Zeroed
-from operators.checks import check_above
 from operators.errors import FingertipError, ParameterError
 from operators.fingertip import CELL_LIMIT, Fingertip, usual_layout
 from operators.operator import Operator
@@ -43,13 +44,12 @@ class Pool(Operator[Touch, Touch]):
     unit: str | None = None
 
     def __post_init__(self) -> None:
-        check_above("Pool", "size of the gain", abs(self.gain), 0)
-        if not math.isfinite(self.gain):
-            raise ParameterError("Pool", "gain", self.gain, "finite")
-        for group in self.groups:
-            if not group or len(set(group)) < len(group) or not all(0 <= c < CELL_LIMIT for c in group):
-                must_be = f"at least one cell each, different numbers from 0 to {CELL_LIMIT - 1}"
-                raise ParameterError("Pool", "groups", self.groups, must_be)
+        groups: Any = self.groups
+        if not (isinstance(cast("object", self.gain), Real) and isfinite(self.gain) and self.gain != 0):
+            raise ParameterError("Pool", "gain", self.gain, "a finite number, not 0")
+        if not (np.iterable(groups) and all(map(_is_group, groups))):
+            must_be = f"as ((0, 1), (2,)): in each group different cells from 0 to {CELL_LIMIT - 1}"
+            raise ParameterError("Pool", "groups", groups, must_be)
 
     def output_fingertip(self, given: Fingertip) -> Fingertip:
         """Return the fingertip of the groups.
@@ -91,6 +91,11 @@ class Pool(Operator[Touch, Touch]):
     def _needed(self) -> int:
         """Number of cells that the input must have."""
         return max((cell + 1 for group in self.groups for cell in group), default=0)
+
+
+def _is_group(group: object) -> bool:
+    cells: list[object] = [*cast("Any", group)] if np.iterable(group) else []
+    return 0 < len(cells) == len(set(cells)) and set(cells) <= {*range(CELL_LIMIT)}
 
 
 def _table(groups: tuple[tuple[int, ...], ...]) -> Times:

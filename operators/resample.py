@@ -10,7 +10,7 @@ from operators.fingertip import Fingertip
 from operators.operator import Operator
 from operators.steps import Record, RowType, Steps, copy, nearest_count
 
-_FASTEST = 1e6  # Hz
+_SLOWEST, _FASTEST = 1e-6, 1e6  # Hz
 _MOST = 1_000_000  # rows that one input row may complete
 
 
@@ -33,7 +33,7 @@ class Resample(Operator[Touch, Touch]):
         gap: Longest distance between input rows that a line bridges, ns.
 
     Raises:
-        ParameterError: if the rate is not above 0 and at most 1 MHz, or the gap is not above 0 and at most
+        ParameterError: if the rate is not from 1 uHz to 1 MHz, or the gap is not above 0 and at most
             1,000,000 periods.
 
     >>> time = np.arange(0, 41) * ms
@@ -47,8 +47,7 @@ class Resample(Operator[Touch, Touch]):
     gap: int = 200 * ms
 
     def __post_init__(self) -> None:
-        check_above("Resample", "rate", self.rate, 0, "Hz")
-        check_between("Resample", "rate", self.rate, 0, _FASTEST, unit="Hz")
+        check_between("Resample", "rate", self.rate, _SLOWEST, _FASTEST, unit="Hz")
         check_above("Resample", "gap", self.gap, 0, "ns")
         longest = round(_MOST * s / self.rate)
         check_between("Resample", "gap", self.gap, 0, longest, unit=f"ns, {_MOST} rows")

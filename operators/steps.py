@@ -99,7 +99,7 @@ def queue(row: RowType, time: int) -> "np.ndarray[Any, Any]":
 
 
 def copy(out: Record, row: Record) -> None:
-    """Copy the columns of the shorter row, with which the other one begins: the type of one is a base."""
+    """Copy the columns that both rows have; they are the first ones of both, those of a common base."""
     for name in out.dtype.names:
         if name in row.dtype.names:
             out[name] = row[name]

@@ -119,7 +119,7 @@ class Stream(Generic[B]):
 
     def _no_stream(self, part: object, pair: str) -> FlowError:
         name = type(part).__name__
-        fix = pair.format(f"(stream | {name}())")
+        fix = pair.format("(left & right | Align())" if isinstance(part, Pair) else f"(stream | {name}())")
         return FlowError(self.flow.name, pair.format(name), f"{name} is not a stream: write {fix}")
 
     def to(self, sink: Sink[B]) -> "Stream[B]":

@@ -10,6 +10,7 @@ import importlib.util
 import inspect
 import re
 import sys
+import traceback
 import types
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
@@ -18,7 +19,6 @@ from pathlib import Path
 from typing import Final, get_type_hints
 
 from flows.graph.flow import Flow
-from flows.graph.node import line_in
 from flows.graph.parameter import Parameter
 from operators.errors import InputError, SlipflowError
 from operators.operator import AnyOperator
@@ -177,16 +177,22 @@ def _errors_of(file: Path) -> Generator[None]:
     except SlipflowError:
         raise
     except SyntaxError as error:
-        raise InputError(f"{error.filename or file}:{error.lineno}", error.msg) from error
+        line = "" if error.lineno is None else f":{error.lineno}"
+        raise InputError(f"{error.filename or file}{line}", error.msg) from error
     except (Exception, SystemExit) as error:
-        line = line_in(file, error)
-        where = str(file) if line is None else f"{file}:{line}"
+        frames, folder = traceback.extract_tb(error.__traceback__), file.resolve().parent
+        inside = [each for each in frames if Path(each.filename).resolve().parent == folder]
+        where = (
+            f"{file.with_name(Path(inside[-1].filename).name)}:{inside[-1].lineno}" if inside else str(file)
+        )
         reason = "calls sys.exit" if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
         raise InputError(where, reason + _hint(error)) from error
 
 
 def _hint(error: BaseException) -> str:
-    """Return what to write instead of ``stream | Debounce().to(sink)``, which sends an operator."""
+    """Return what to write instead of ``stream | Debounce().to(sink)`` or ``from .module import name``."""
+    if isinstance(error, ImportError) and "relative import" in str(error):
+        return ": write from module import name, without the dot"
     if isinstance(error, AttributeError) and error.name == "to" and isinstance(error.obj, AnyOperator):
         return f": write (stream | {type(error.obj).__name__}()).to(...)"
     return ""

@@ -29,7 +29,7 @@ class Node:
         """Accepted batch types: one per input of an operator or join, the alternatives of a sink.
 
         Raises:
-            ParameterError: if an operator does not declare them.
+            InputError: if an operator does not declare them.
         """
         if isinstance(self.part, Operator | Join):
             return input_types(type(self.part))
@@ -45,7 +45,8 @@ class Node:
         """Batch type of the output; None for a sink.
 
         Raises:
-            ParameterError: if the part does not declare it.
+            InputError: if an operator does not declare it.
+            ParameterError: if that of a source is no batch type.
         """
         if isinstance(self.part, Source):
             kind: Any = self.part.kind
@@ -90,17 +91,11 @@ def consumers(nodes: Iterable[Node]) -> Mapping[Node, list[Node]]:
 
 
 def location(part: object, error: BaseException) -> str:
-    """Return the line of a part's file at which an error was raised, such as `` (own.py:23)``."""
+    """Return the last line of a part's file that an error passed through, such as `` (own.py:23)``."""
     try:
         file = Path(inspect.getfile(type(part)))
     except (TypeError, OSError):
         return ""
-    line = line_in(file, error)
-    return "" if line is None else f" ({file.name}:{line})"
-
-
-def line_in(file: Path, error: BaseException) -> int | None:
-    """Return the last line of a file in an error's traceback; None: the error did not pass through it."""
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == file.resolve()]
-    return lines[-1] if lines else None
+    return f" ({file.name}:{lines[-1]})" if lines else ""

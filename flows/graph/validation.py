@@ -1,7 +1,7 @@
 """Checks of a flow before it runs, and the fingertips of its streams."""
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import fields
+from dataclasses import Field, fields
 from functools import cache
 from inspect import iscoroutinefunction, signature
 from pathlib import Path
@@ -146,6 +146,8 @@ def _wrong_operators(flow: Flow) -> Iterator[Problem]:
     for node in flow.nodes:
         if not isinstance(node.part, Operator | Join):
             continue
+        for name in (name for name, value in vars(type(node.part)).items() if isinstance(value, Field)):
+            yield node.name, f"{name} has no value: write @dataclass above class {type(node.part).__name__}"
         parameters = [f.name for f in fields(node.part) if f.init]
         for name in parameters:
             if isinstance(getattr(node.part, name, None), list | dict | set | np.ndarray):

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 
 from operators.batch import SLIP, STATIC, Codes, Counts, Reals
-from operators.checks import check_above, check_at_least
+from operators.checks import check_above, check_at_least, check_whole
 from operators.detectors.weights import ForOneFingertip
 from operators.errors import ParameterError
 from operators.fingertip import TAKKTILE, Fingertip
@@ -48,11 +48,11 @@ class Psd(ForOneFingertip):
     name = "psd"
 
     def __post_init__(self) -> None:
-        check_at_least("Psd", "length", self.length, 2, "samples")  # one sample has no spectrum
+        check_whole("Psd", "length", self.length, 2, "samples")  # one sample has no spectrum
+        check_at_least("Psd", "cutoff", self.cutoff, 0, "Hz")
         highest = self.length // 2 / self.length * self.fingertip.rate
-        if not 0 <= self.cutoff < highest:
-            must_be = f"from 0 to below {highest:g} Hz, the highest bin"
-            raise ParameterError("Psd", "cutoff", self.cutoff, must_be)
+        if self.cutoff >= highest:
+            raise ParameterError("Psd", "cutoff", self.cutoff, f"below {highest:g} Hz, the highest bin")
         check_above("Psd", "threshold", self.threshold, 0)
         _transform(self.length, self.cutoff / self.fingertip.rate)  # compute it before the first score
 

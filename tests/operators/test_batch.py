@@ -1,7 +1,7 @@
 import pickle
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_a_batch_type_whose_field_is_no_column_is_refused_when_it_is_defined() -
 
 
 @pytest.mark.parametrize(
-    "name", ["mean", "size", "T", "packed", "finger", "check", "later", "zeros", "cells"]
+    "name", ["mean", "size", "T", "packed", "finger", "time", "check", "later", "zeros", "cells"]
 )
 def test_a_column_named_as_what_batches_or_numpy_have_is_refused(name: str) -> None:
     expected = rf"^Force\.{name}: is a name that batches or rows of numpy use: choose another one$"
@@ -98,6 +98,17 @@ def test_a_source_may_yield_no_rows_and_the_same_value_for_all_cells() -> None:
     assert (len(nothing.check()), nothing.cells) == (0, 6)
     assert Touch.rows([], np.zeros((0, 9)), 0, True).cells == 9
     assert Touch.rows([1, 2], 500, np.zeros((2, 9)), True).check().counts.tolist() == [[500] * 9] * 2
+
+
+@pytest.mark.parametrize("count", [70_000, 1.5])
+def test_counts_that_16_bits_cannot_hold_are_refused_by_packed_rows(count: float) -> None:
+    counts, zero = np.full((1, 6), count), np.zeros((1, 6), np.int16)
+    for make in (
+        lambda: Touch.rows([1], counts, 0, True),
+        lambda: Touch(np.array([1]), cast("Counts", counts), zero, zero == 0).packed,
+    ):
+        with pytest.raises(BatchError, match=r"^Touch\.counts: has values that int16 cannot hold$"):
+            make()
 
 
 def test_columns_and_slices_of_packed_rows_are_views() -> None:

@@ -23,11 +23,13 @@ from operators import (
     Scores,
     Touch,
     Zero,
+    Zeroed,
     compilation,
     ms,
     steps,
 )  # fmt: skip
-from operators.batch import packed_type
+from operators.batch import Reals, packed_type
+from operators.column import column
 from operators.compilation import compile_function, compile_program
 
 
@@ -150,8 +152,17 @@ def test_another_parameter_needs_no_other_program() -> None:
     assert sizes[0] == sizes[1]
 
 
-def test_rows_of_which_neither_type_begins_with_the_other_are_not_copied() -> None:
+class _Warm(Zeroed):
+    heat: Reals = column(np.float64)
+
+
+def test_only_the_columns_of_a_common_base_are_copied() -> None:
     run = _function("def run(rows):\n    copy(rows[0].sample, rows[0].other)", copy=steps.copy)
+    rows = np.ones(1, [("sample", packed_type(Sample)), ("other", packed_type(_Warm))])
+    rows["other"] = 2
+    compile_program(run, [rows], {})(rows)
+    row = rows["sample"][0]
+    assert (row["valid"].tolist(), row["velocity"].tolist(), row["matched"]) == ([2] * 6, [1.0] * 6, 1)
     rows = np.zeros(1, [("sample", packed_type(Sample)), ("other", packed_type(Motion))])
-    with pytest.raises(TypingError, match=r"cannot copy: .*'matched'\] does not begin with the columns"):
+    with pytest.raises(TypingError, match=r"cannot copy: .* do not begin with the same columns"):
         compile_program(run, [rows], {})

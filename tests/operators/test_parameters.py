@@ -13,6 +13,7 @@ from operators import (
     Grip,
     Health,
     Label,
+    MaskLifted,
     ParameterError,
     Pool,
     Resample,
@@ -37,10 +38,16 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
         {"wait": 10 * ms},
     ],
     Label: [{"speed": -1}, {"speed": 0.3}, {"speed": nan}, {"rotation": -0.1}],
-    Resample: [{"rate": 0}, {"rate": 2e6}, {"rate": nan}, {"gap": 0}],
-    Pool: [{"gain": 0.0}, {"gain": inf}, {"groups": ((),)}, {"groups": ((1, 1),)}, {"groups": ((-1,),)}],
+    Resample: [{"rate": 0}, {"rate": 1e-300}, {"rate": 2e6}, {"rate": nan}, {"gap": 0}],
+    Pool: [
+        *({"gain": each} for each in (0.0, inf, "2")),
+        *({"groups": each} for each in (((),), ((1, 1),), ((-1,),), (0, 1), ((0.5,),))),
+    ],
+    MaskLifted: [
+        {"contact_pose": each} for each in ((0, 0, 0.1), (0, 0, 0.1, 0, 0, nan), (0, 0, 0, 0, 0, "z"))
+    ],
     Window: [{"length": 0}, {"hop": 0}, {"length": 2.5}],
-    Psd: [{"length": 1}, {"cutoff": -1}, {"cutoff": 48}, {"threshold": 0}],
+    Psd: [{"length": 1}, {"cutoff": -1}, {"cutoff": 48}, {"cutoff": "9"}, {"length": 9.5}, {"threshold": 0}],
     Debounce: [
         *({"threshold": each} for each in (0, 1.1, nan)),
         *({"consecutive": 0}, {"release": 0}, {"consecutive": 2.5}, {"threshold": "x"}),

@@ -60,7 +60,7 @@ flow = Flow("own")
 @pytest.mark.parametrize(
     ("operators", "message"),
     [
-        ("Zero() | Empty()", "Empty: process is 'missing', must be a method that takes batches, as in def "),
+        ("Zero() | Empty()", "Empty: has no process: write def process(self, batch: Scores)"),
         ("Zero((1, 2, 3))", "Zero: baseline is (1, 2, 3), must be one count, or 6, one for each cell, not 3"),
     ],
 )

@@ -36,6 +36,9 @@ def test_an_operator_or_source_in_the_place_of_a_stream_is_an_error_that_says_wh
         _ = touch | operator & motion
     with pytest.raises(FlowError, match=r"motion & Zero: .* write motion & \(stream \| Zero\(\)\)$"):
         _ = motion & operator
+    pair: Any = touch & motion
+    with pytest.raises(FlowError, match=r"Pair & motion: .* write \(left & right \| Align\(\)\) & motion$"):
+        _ = pair & motion
     source: Any = TestSource(Touch)
     with pytest.raises(TypeError, match=r"^TestSource is not a stream: begin with flow\.source\(\.\.\.\)$"):
         _ = source | operator

@@ -57,6 +57,9 @@ def test_a_finished_flow_is_found_by_its_name(tmp_path: Path) -> None:
             "\nfrom operators import Zero; Zero().to(None)",
             r"mine\.py:2: .* 'to': write \(stream \| Zero\(\)\)\.to\(",
         ),
+        ("from .module import x\n", r"mine\.py:1: .*relative import.*: write from module import name, "),
+        ("x = '\0'\n", r"mine\.py: source code string cannot contain null bytes"),
+        ("import a_module_that_divides\n", r"a_module_that_divides\.py:2: ZeroDivisionError"),
         ("x = 1\n", "has no flow"),
         (
             "from flows.graph import Flow\ndef f(x: int) -> Flow: ...",
@@ -64,7 +67,11 @@ def test_a_finished_flow_is_found_by_its_name(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_an_error_in_a_file_is_one_line_with_its_location(tmp_path: Path, code: str, message: str) -> None:
+def test_an_error_in_a_file_is_one_line_with_its_location(
+    tmp_path: Path, code: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "a_module_that_divides.py").write_text("\n1 / 0\n")
     with pytest.raises(InputError, match=message) as raised:
         load(_file(tmp_path, code))
     assert "\n" not in str(raised.value)

@@ -7,7 +7,19 @@ from flows.graph import Flow, Stream
 from flows.graph.node import check_extras
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems, validate
-from operators import EVERY, Debounce, FlowError, Join, Operator, ParameterError, Scores, Slips, Touch, Zero
+from operators import (
+    EVERY,
+    Debounce,
+    FlowError,
+    InputError,
+    Join,
+    Operator,
+    ParameterError,
+    Scores,
+    Slips,
+    Touch,
+    Zero,
+)  # fmt: skip
 
 
 def _one_problem(flow: Flow) -> str:
@@ -83,14 +95,19 @@ class Stateless(Loud):
         self.last = 0.0
 
 
+class Undecorated(Loud):
+    _last: float = field(default=0.0, init=False)
+
+
 @pytest.mark.parametrize(
     ("operator", "reason"),
     [
+        (Undecorated(), "Undecorated: _last has no value: write @dataclass above class Undecorated"),
         (Sharing(), "Sharing: seen would be shared by all runs"),
         (Losing(2.0), "Losing: gain would be lost: make it a field of a @dataclass"),
         (Stateless(), "Stateless: its __init__ lacks super().__init__(): use a @dataclass"),
     ],
-    ids=["shared", "lost", "no base"],
+    ids=["undecorated", "shared", "lost", "no base"],
 )
 def test_an_operator_that_each_run_could_not_copy_is_reported(operator: Loud, reason: str) -> None:
     flow = Flow("f")
@@ -116,7 +133,9 @@ def test_an_operator_without_types_is_reported() -> None:
 
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | Silent()).to(TestSink())
-    with pytest.raises(ParameterError, match=r"as in class Silent\(Operator\[Scores, Scores\]\)"):
+    with pytest.raises(
+        InputError, match=r"^Silent: declares no .*: write class Silent\(Operator\[Scores, Scores\]\)$"
+    ):
         problems(flow)
 
 
