@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, cast, get_args, get_type_hints
 
 from operators.batch import EVERY, Batch
-from operators.errors import ParameterError
+from operators.errors import InputError, ParameterError
 from operators.extras import require_extra
 from operators.operator import Join, Operator, input_types, output_type
 from operators.ports import Description, Sink, Source
@@ -29,13 +29,16 @@ class Node:
         """Accepted batch types: one per input of an operator or join, the alternatives of a sink.
 
         Raises:
-            InputError: if an operator does not declare them.
+            InputError: if an operator does not declare them, or Python cannot find those of a sink.
         """
         if isinstance(self.part, Operator | Join):
             return input_types(type(self.part))
         if isinstance(self.part, Sink):
             kind, base = type(self.part), cast("Any", Sink)
-            hints: dict[str, Any] = get_type_hints(kind.take if kind.write is base.write else kind.write)
+            try:
+                hints: dict[str, Any] = get_type_hints(kind.take if kind.write is base.write else kind.write)
+            except NameError as error:
+                raise InputError(kind.__name__, f"{error}: import it outside `if TYPE_CHECKING`") from error
             hint = hints.get(next(iter(hints), ""))  # of the first parameter
             return get_args(hint) or (cast("Any", hint),)
         return ()

@@ -1,9 +1,9 @@
 """Checks of a flow before it runs, and the fingertips of its streams."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import Field, fields
 from functools import cache
-from inspect import iscoroutinefunction, signature
+from inspect import iscoroutinefunction, isgeneratorfunction, signature
 from pathlib import Path
 from typing import Any, Final, TypeAlias, cast
 
@@ -40,15 +40,16 @@ def validate(flow: Flow, *, fingertips: bool = True) -> None:
 
 def problems(flow: Flow, *, fingertips: bool = True) -> list[FlowError]:
     """Return all problems of a flow; the wiring is checked only if its operators and sinks are valid."""
-    parts = _wrong_operators, _wrong_sinks
+    parts = _wrong_sources, _wrong_operators, _wrong_sinks
     streams = _no_source, _shared_parts, _wrong_types, _unconnected
     wiring = *streams, _shared_destinations, _duplicate_streams, _no_session_name
 
     def found(checks: Iterable[Callable[[Flow], Iterator[Problem]]]) -> list[FlowError]:
         return [FlowError(flow.name, *problem) for check in checks for problem in check(flow)]
 
-    fits = [*trace_fingertips(flow)[1], *found([_apart])] if fingertips else []
-    return found(parts) or found(wiring) + fits
+    if wrong := found(parts):
+        return wrong
+    return found(wiring) + ([*trace_fingertips(flow)[1], *found([_apart])] if fingertips else [])
 
 
 def trace_fingertips(flow: Flow) -> tuple[dict[Node, Fingertip], list[FlowError]]:
@@ -139,6 +140,15 @@ def _shared_parts(flow: Flow) -> Iterator[Problem]:
             kind = "source" if isinstance(node.part, Source) else "operator"
             reason = f"the same {kind} object is used twice: share its stream, or create a second one"
             yield _first_edge(node), reason
+
+
+def _wrong_sources(flow: Flow) -> Iterator[Problem]:
+    """Find methods and fingertips of sources that would fail in a run."""
+    for node, source in flow.sources().items():
+        if isgeneratorfunction(source.batches) or iscoroutinefunction(source.batches):
+            yield node.name, "batches must be declared with async def and contain yield"
+        if not isinstance(cast("object", source.fingers), Sequence):
+            yield node.name, f"fingers is {source.fingers!r}, must be a tuple, such as (0,)"
 
 
 def _wrong_operators(flow: Flow) -> Iterator[Problem]:

@@ -1,3 +1,4 @@
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -182,6 +183,35 @@ def test_a_sink_that_would_fail_in_a_run_is_reported(name: str, value: object, r
     flow = Flow("f")
     flow.source(TestSource(Scores)).to(kind())
     assert _one_problem(flow).startswith(f"scores -> own: {reason}")
+
+
+def _yield_at_once(self: object, clock: object) -> Iterator[Scores]:
+    yield Scores.zeros()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("batches", _yield_at_once, "batches must be declared with async def and contain yield"),
+        ("batches", Wrong.later, "batches must be declared with async def and contain yield"),
+        ("fingers", 0, "fingers is 0, must be a tuple, such as (0,)"),
+    ],
+)
+def test_a_source_that_would_fail_in_a_run_is_reported(name: str, value: object, reason: str) -> None:
+    flow, kind = Flow("f"), type("Own", (TestSource,), {name: value})
+    (flow.source(kind(Touch)) & flow.source(TestSource(Touch)) | Compare()).to(TestSink())
+    assert _one_problem(flow) == f"touch: {reason}"
+
+
+def test_a_type_that_only_type_checkers_import_is_named() -> None:
+    class Unknown(TestSink):
+        async def write(self, batch: "Missing") -> None:  # type: ignore[name-defined]  # noqa: F821
+            """Take them."""
+
+    flow: Any = Flow("f")
+    flow.source(TestSource(Scores)).to(Unknown())
+    with pytest.raises(InputError, match=r"^Unknown: name 'Missing' is not defined: import it outside "):
+        problems(flow)
 
 
 def test_an_extra_that_does_not_exist_is_an_error_with_those_that_do() -> None:
