@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from errno import EACCES, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, EPERM
+from math import isfinite
 from pathlib import Path
 from shutil import disk_usage, rmtree
 from stat import S_ISREG
@@ -33,6 +34,7 @@ _SYNCED_AT_ONCE: Final = 8  # files that are synced concurrently: a disk batches
 FREE_MIN: Final = 1e9  # bytes
 SYNC_MAX: Final = 0.05  # s; on slower disks a power cut costs more rows than `storage.dataset.Dataset` states
 _SYNCS: Final = 20
+_FOLDER: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 _BLOCK: Final = 4096  # bytes written before each fsync
 
 
@@ -179,7 +181,7 @@ def read_json(path: Path, limit: int = JSON_LIMIT) -> dict[str, Any]:
     """
     data = read(path, limit)
     try:
-        content: object = json.loads(data, parse_constant=_reject_number)
+        content: object = json.loads(data, parse_constant=_reject_number, parse_float=_finite)
     except MemoryError as error:
         raise EndpointError(str(path), NO_MEMORY) from error
     except (ValueError, RecursionError) as error:
@@ -238,7 +240,9 @@ def partial_output(path: Path, make: Callable[..., None] = Path.mkdir) -> Genera
     """
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise EndpointError(str(path), "exists already: give another name, or remove it")
-    path = path.resolve() if path.is_symlink() else path  # a folder cannot be renamed to a link
+    path = (
+        path.resolve() if path.is_symlink() or not path.name else path
+    )  # a folder replaces no link and no `.`
     scratch = path.with_name(path.name + PARTIAL)
     with write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -261,13 +265,13 @@ def partial_output(path: Path, make: Callable[..., None] = Path.mkdir) -> Genera
 
 def lock(folder: Path) -> int | None:
     """Lock a folder; return the descriptor that holds the lock until it is closed, None if another has it."""
-    return _flock(os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC), wait=False)
+    return _flock(os.open(folder, _FOLDER))
 
 
 @contextmanager
 def exclusive(folder: Path) -> Generator[None]:
     """Wait for the lock of a folder, and hold it."""
-    held = _flock(os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC), wait=True)
+    held = _flock(os.open(folder, _FOLDER), fcntl.LOCK_EX)
     assert held is not None, "waited for it"
     try:
         yield
@@ -280,13 +284,13 @@ def lock_file(path: Path) -> int | None:
 
     Return a descriptor or None as `lock` does.
     """
-    return _flock(os.open(f"{path}.lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600), wait=False)
+    return _flock(os.open(f"{path}.lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600))
 
 
 def locked(folder: Path) -> bool:
     """Return True if a process holds the lock of a folder; False also if the folder cannot be opened."""
     try:
-        descriptor = lock(folder)
+        descriptor = _flock(os.open(folder, _FOLDER), fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError:
         return False
     if descriptor is not None:
@@ -315,9 +319,9 @@ def check_disk(folder: Path) -> list[Finding]:
     ]
 
 
-def _flock(descriptor: int, *, wait: bool) -> int | None:
+def _flock(descriptor: int, kind: int = fcntl.LOCK_EX | fcntl.LOCK_NB) -> int | None:
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        fcntl.flock(descriptor, kind)
     except OSError as error:
         os.close(descriptor)
         if isinstance(error, BlockingIOError):
@@ -328,6 +332,11 @@ def _flock(descriptor: int, *, wait: bool) -> int | None:
 
 def _reject_number(text: str) -> NoReturn:
     raise ValueError(f"{text} is not a JSON number")
+
+
+def _finite(text: str) -> float:
+    """Return a number, which Python reads as infinite if it is too large."""
+    return number if isfinite(number := float(text)) else _reject_number(text)
 
 
 def _sync_times(folder: Path) -> list[float]:

@@ -171,7 +171,7 @@ def alarm_entries(name: str, card: Mapping[str, Any]) -> dict[float, Mapping[str
         return {
             float(each["false_alarms_per_min"]): each for each in card.get(ALARMS, ()) if each["debounce"]
         }
-    except (KeyError, TypeError, ValueError) as error:
+    except (ArithmeticError, KeyError, TypeError, ValueError) as error:
         reason = f"its card has damaged settings in {ALARMS!r}: remove them, then calibrate it again"
         raise InputError(name, reason) from error
 

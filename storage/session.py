@@ -146,12 +146,8 @@ class Session:
         """
         import polars as pl
 
-        parts = [
-            read_part(self.folder, part)
-            for each in TABLES
-            if each.name == table
-            for part in self._listed(each)
-        ]
+        kinds = [each for each in TABLES if each.name == table]
+        parts = [read_part(self.folder, part) for each in kinds for part in self._listed(each)]
         if not parts:
             reason = f"has no table {table!r}; it has {', '.join(self.tables) or 'none'}"
             raise InputError(str(self.folder), reason)

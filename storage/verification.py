@@ -171,7 +171,7 @@ class _SessionCheck:
                     self._add("note", f"{named}: restore its own, unless the folder was renamed")
                 self._check_ending(self.about)
                 self._check_streams(self.about)
-            except (AttributeError, LookupError, TypeError) as error:
+            except (ArithmeticError, AttributeError, LookupError, TypeError) as error:
                 self.about = {}
                 self._add("lost", f"{self.folder / SESSION}: has invalid content: {error!r}")
 

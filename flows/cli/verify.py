@@ -57,7 +57,7 @@ def verify(
     else:
         for each in repaired:
             rows = ", ".join(f"{count:,} rows of {table}" for table, count in each.rows.items()) or "no rows"
-            typer.echo("; ".join([f"{each.session}: recovered {rows}", *each.done]))
+            typer.echo(_plain("; ".join([f"{each.session}: recovered {rows}", *each.done])))
         typer.echo(_text(path, found))
     if found.code:
         raise typer.Exit(found.code)
@@ -96,9 +96,15 @@ def _summary(found: "Verified", repaired: "list[Recovery]") -> dict[str, Any]:
 def _text(path: Path, found: "Verified") -> str:
     width = max((len(each.weight) for each in found.findings), default=0)
     lines = [
-        f"{each.weight:{width}}  {each.session}: {each.text}".replace(" : ", " ") for each in found.findings
+        _plain(f"{each.weight:{width}}  {each.session}: {each.text}".replace(" : ", " "))
+        for each in found.findings
     ]
     size = ", ".join(
         [counted(found.sessions, "session"), counted(found.files, "file"), counted(found.rows, "row")]
     )
-    return "\n".join([*lines, f"{path}: {size}: {_VERDICTS[found.worst]}"])
+    return "\n".join([*lines, _plain(f"{path}: {size}: {_VERDICTS[found.worst]}")])
+
+
+def _plain(line: str) -> str:
+    """Return a line with escapes for what a terminal would interpret or UTF-8 cannot encode."""
+    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in line)

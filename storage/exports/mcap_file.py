@@ -5,6 +5,7 @@ Foxglove shows as times and which no reader rounds. JSON has no NaN: values that
 and a column without any finite value is omitted from its message.
 """
 
+import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -51,12 +52,12 @@ def export(session: Session, path: Path) -> Mapping[str, int]:
 
     with partial_output(path, Path.touch) as scratch, scratch.open("wb") as file:
         writer: Any = Writer(file, chunk_size=_CHUNK)
-        writer.start(profile="", library=str(session.about.get("software", "slipflow")))
+        writer.start(profile="", library=_text(session.about.get("software", "slipflow")))
         labels = session.hand_labels()
         described = {"session": session.about, "hand_labels": asdict(labels) if labels.version else {}}
         for name, content in described.items():
             if content:
-                writer.add_metadata(name, {key: _text(value) for key, value in content.items()})
+                writer.add_metadata(name, {_text(key): _text(value) for key, value in content.items()})
         channels, sequences, streams = dict[str, int](), Counter[str](), list[Iterator[_Message]]()
         present = [(table, finger) for table in TABLES for finger in session.fingers(table.kind)]
         for table, finger in present:
@@ -163,4 +164,6 @@ def _stamp(time: int) -> dict[str, int]:
 
 
 def _text(value: object) -> str:
-    return value if isinstance(value, str) else msgspec.json.encode(value).decode()
+    """Return a text, or the JSON of another value, without what UTF-8 cannot encode."""
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, separators=(",", ":"))
+    return text.encode(errors="replace").decode()
