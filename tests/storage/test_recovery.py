@@ -83,6 +83,20 @@ def test_an_unlisted_part_that_the_journal_may_not_have_is_kept_aside(left: Path
 
 
 @pytest.mark.parametrize("damage", ["missing", "flipped"])
+def test_a_listed_part_that_is_damaged_is_made_again_from_the_journal(left: Path, damage: str) -> None:
+    path = left / "motion/part-000001.parquet"
+    path.unlink() if damage == "missing" else flip(path, 200)
+    assert verify(left).worst == "lost"
+    done = recover(left)
+    assert (done.rows["motion"], done.lost) == (15, [])
+    assert "part-000001.parquet: " in done.done[0]
+    assert done.done[0].endswith("; the journal has its rows")
+    assert rows(left, BATCHES) == ALL
+    assert (left / "damaged/motion-part-000001.parquet").exists() == (damage == "flipped")
+    assert verify(left).worst == "repaired"
+
+
+@pytest.mark.parametrize("damage", ["missing", "flipped"])
 def test_without_its_manifest_a_session_is_refused_reported_and_not_changed(left: Path, damage: str) -> None:
     path = left / "MANIFEST.json"
     if damage == "missing":
@@ -102,13 +116,14 @@ def test_without_its_manifest_a_session_is_refused_reported_and_not_changed(left
 def test_damage_in_the_middle_ends_the_tables_there_and_the_segment_is_kept(left: Path) -> None:
     path = max(numbered_files(left, SEGMENTS).values())
     data = path.read_bytes()
-    (left / "touch/part-000009.parquet.tmp").write_text("half")
+    for name in ("touch/part-000009.parquet.tmp", "mine.tmp"):
+        (left / name).write_text("half")
     data = flip(path, data.rindex(b"SLIP", 0, data.rindex(b"SLIP")) + 20)  # in the last frame but one
     done = recover(left)
     assert "it is damaged" in done.lost[0]
     assert recovered(left)["cut"] == []
     assert (left / "damaged" / f"journal-{path.name}").read_bytes() == data
-    assert list(left.rglob("*.tmp")) == []
+    assert list(left.rglob("*.tmp")) == [left / "mine.tmp"]
     assert [20] * 4 <= rows(left, BATCHES) < ALL
     for _ in range(2):
         assert verify(left).worst == "lost"
