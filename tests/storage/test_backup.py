@@ -47,16 +47,19 @@ def test_a_copy_of_a_running_recording_has_all_rows_that_were_in_its_journal(tmp
         for gap in PHASES
         for phase in range(3)
     ]
-    reached, taken, before = 0, list[int](), dict[str, int]()
+    reached, copying, taken, before = 0, False, list[int](), dict[str, int]()
     folder = tmp_path / "data/sessions/one"
 
     def reach(_: str) -> None:
-        nonlocal reached
-        reached += 1
+        nonlocal reached, copying
+        if copying:  # steps of the copy
+            return
+        reached, copying = reached + 1, True
         for phase, name in [each[1:] for each in due if each[0] == reached]:
             if phase == 0:
                 before[name] = len(taken)
             copy(folder, tmp_path / name, phase)
+        copying = False
 
     with observed(reach):
         record(tmp_path / "data", new_run(), taken)
