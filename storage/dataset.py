@@ -22,7 +22,7 @@ SYNC_INTERVAL: Final = 0.2  # s, from the end of an fsync of the journal to the 
 
 
 class Dataset(Sink[Recordable]):
-    """Folder of recordings; each run becomes a session, see `storage.layout`.
+    """Folder of recordings; each run becomes a session, see docs/reference/dataset.md.
 
     All rows are committed in order of arrival, in whole parts; readers see whole parts only. The type of a
     batch determines its table: Touch as received, or Zeroed (not both in one session), goes to touch,

@@ -18,7 +18,7 @@ from storage import files
 from storage.arrow import pa, pq
 from storage.description import UNKNOWN, check_identity, identity
 from storage.layout import MANIFEST, TABLES, Table, file_name, may_exist, numbered_files, table_of
-from storage.schema import cells_of, fields_of, flat, schema
+from storage.schema import cells_of, flat, schema
 
 MANIFEST_VERSION: Final = 2
 PART_SPAN: Final = 60 * s  # ns, longest event time span of a part
@@ -198,7 +198,7 @@ def _part(where: str, content: Any) -> Part:
 def _encodings(schema: pa.Schema) -> dict[str, str]:
     """Return the Parquet encoding of each column by its path in the file."""
     encodings: dict[str, str] = {}
-    for field in fields_of(schema):
+    for field in schema:
         nested = pa.types.is_fixed_size_list(field.type)
         path = f"{field.name}.list.element" if nested else field.name
         kind = field.type.value_type if nested else field.type
@@ -210,8 +210,8 @@ def _encodings(schema: pa.Schema) -> dict[str, str]:
 
 
 def _check_columns(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
-    columns = {field.name: field for field in fields_of(found)}
-    for field in fields_of(expected):
+    columns = {field.name: field for field in found}
+    for field in expected:
         other = columns.get(field.name)
         if other is None:
             raise InputError(str(path), f"has no column {field.name!r}; it has {', '.join(columns)}")

@@ -106,7 +106,7 @@ class Recovery:
         self.done += [f"{each}: is not in the manifest" for each in names if each not in listed]
         if not self._buffers and (folder / JOURNAL).is_dir() and journal_files(folder):
             self.done.append("its journal was deleted: all its rows are in parts")
-        if "end_ns" not in about and not self._logs:
+        if "end_ns" not in about and not self._logs and not self._before:
             if self._all_parts() or self._unknown:
                 self.lost.append("was not closed and lacks its journal: rows after its last part are missing")
             else:
@@ -159,7 +159,7 @@ class Recovery:
                 seen.add(table)
             start = _count(self._parts[table]) if table.parted else 0  # single files are written anew
             buffer = self._buffers.get(table) or Buffer(type(batch), start, batch.cells)
-            if table in left_out or first > buffer.end:
+            if table in left_out or first > buffer.end or batch.cells != buffer.cells:
                 left_out[table] += len(batch)
             elif first + len(batch) > buffer.end:
                 buffer.add(batch[buffer.end - first :])

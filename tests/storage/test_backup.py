@@ -4,7 +4,7 @@ from functools import partial
 from pathlib import Path
 from shutil import copy2, copytree, ignore_patterns
 
-import pyarrow.parquet as pq
+import polars as pl
 
 from operators.batch import EVERY, Episodes, Motion, Slips, Touch, ms
 from storage import Session, recover
@@ -33,7 +33,7 @@ def part_times(folder: Path) -> set[tuple[str, int]]:
     found = set[tuple[str, int]]()
     for path in folder.rglob("*.parquet"):
         table = path.relative_to(folder).as_posix().removeprefix("damaged/").replace("-", "/").split("/")[0]
-        found |= {(table, time) for time in pq.read_table(path)["time"].to_pylist()}
+        found |= {(table, time) for time in pl.read_parquet(path)["time"].to_list()}
     return found
 
 

@@ -14,7 +14,7 @@ from operators.batch import Touch
 from operators.errors import EndpointError, InputError
 from storage import Session, files, recover, verify
 from storage.append_log import AppendLog
-from storage.journal import identity
+from storage.journal import NumberedRows, encode, identity
 from storage.layout import SEGMENTS, numbered_files
 from storage.parts import read_manifest, write_manifest
 from tests.storage.made import contents, flip, leave, new_run, rows, side_by_side, write
@@ -61,6 +61,13 @@ def test_a_recorder_killed_after_its_last_commit_has_lost_no_known_row(tmp_path:
     write(tmp_path, new_run(), [each for each in BATCHES if type(each) is Touch]).commit()
     assert recover(tmp_path / "sessions/one").lost == []
     assert verify(tmp_path).worst == "repaired"
+
+
+def test_a_recorder_killed_before_its_first_row_is_repaired_once(tmp_path: Path) -> None:
+    folder = leave(tmp_path, new_run(), [])
+    assert recover(folder).changed
+    assert len(verify(folder).findings) == 1
+    assert not recover(folder).changed
 
 
 @pytest.mark.parametrize("journal", ["none", "damaged"])
@@ -151,6 +158,14 @@ def test_a_torn_end_of_an_older_segment_is_a_loss(left: Path) -> None:
     assert "the recorder was cut off there" in recover(left).lost[0]
     assert recovered(left)["cut"] == []
     assert verify(left).worst == "lost"
+
+
+def test_rows_of_another_number_of_cells_are_left_out_and_reported(left: Path) -> None:
+    log = AppendLog(
+        left / "journal/000003.wal", identity("one", 3), encode([NumberedRows(50, Touch.zeros(2, 9))])
+    )
+    log.close()
+    assert recover(left).lost == ["touch: 2 rows that do not follow row 50"]
 
 
 def test_rows_that_do_not_follow_are_left_out_and_reported(left: Path) -> None:
