@@ -240,9 +240,8 @@ def partial_output(path: Path, make: Callable[..., None] = Path.mkdir) -> Genera
     """
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise EndpointError(str(path), "exists already: give another name, or remove it")
-    path = (
-        path.resolve() if path.is_symlink() or not path.name else path
-    )  # a folder replaces no link and no `.`
+    if path.is_symlink() or not path.name:  # a folder can be renamed neither to a link nor to `.`
+        path = path.resolve()
     scratch = path.with_name(path.name + PARTIAL)
     with write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)

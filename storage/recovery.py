@@ -151,26 +151,32 @@ class Recovery:
 
     def _read_journal(self) -> None:
         """Read the rows of the journal up to the first missing row of each table, and note what is lost."""
-        left_out, seen = Counter[Table](), set[Table]()
+        left_out = Counter[Table]()
+        listed = {table: _count(parts) for table, parts in self._parts.items()}
         for first, batch in self._journal_rows():
             table = TABLE_OF[type(batch)]
-            if table not in seen:
+            if table not in self._buffers:
                 self._leave_out_damaged_parts(table, first)
-                seen.add(table)
-            start = _count(self._parts[table]) if table.parted else 0  # single files are written anew
-            buffer = self._buffers.get(table) or Buffer(type(batch), start, batch.cells)
+                start = _count(self._parts[table]) if table.parted else 0  # single files are written anew
+                self._buffers[table] = Buffer(type(batch), start, batch.cells)
+            buffer = self._buffers[table]
             if table in left_out or first > buffer.end or batch.cells != buffer.cells:
                 left_out[table] += len(batch)
             elif first + len(batch) > buffer.end:
                 buffer.add(batch[buffer.end - first :])
-                self._buffers[table] = buffer
-        for table in (table for table in [*self._buffers] if not table.parted):
-            if self._buffers[table].rows <= _count(self._parts[table]):
-                del self._buffers[table]  # its file has them already
-        for table, rows in left_out.items():
-            end = self._buffers[table].end if table in self._buffers else _count(self._parts[table])
-            self.lost.append(f"{table.name}: {rows} rows that do not follow row {end}")
-            self._damaged = list(self._logs.values())
+        for table, parts in self._parts.items():
+            added, end = self._buffers.get(table), _count(parts)
+            if added is not None and added.end <= end:
+                del self._buffers[table]  # its parts have them already
+            elif added is not None:
+                end = added.end
+            if table in left_out:
+                self.lost.append(f"{table.name}: {left_out[table]} rows that do not follow row {end}")
+                self._damaged = list(self._logs.values())
+            if end < listed[table]:
+                self.lost.append(
+                    f"{table.name}: {listed[table] - end} rows of damaged parts, after row {end}"
+                )
 
     def _leave_out_damaged_parts(self, table: Table, first: int) -> None:
         """Keep the listed parts of a table before the first damaged one whose rows the journal has.
@@ -216,7 +222,9 @@ class Recovery:
         except InputError:
             return False
         added = self._buffers[table].batches() if table in self._buffers else []
-        found, known = (b"".join(each.tobytes() for each in of) for of in (times, [b.time for b in added]))
+        found, known = (
+            b"".join(each.tobytes() for each in of) for of in (times, [each.time for each in added])
+        )
         return bool(self._logs) and known.startswith(found)
 
     def _clean_up(self) -> None:

@@ -103,6 +103,15 @@ def test_a_listed_part_that_is_damaged_is_made_again_from_the_journal(left: Path
     assert verify(left).worst == "repaired"
 
 
+def test_rows_of_a_damaged_part_that_the_journal_lacks_are_lost(left: Path) -> None:
+    flip(left / "touch/part-000001.parquet", 200)
+    path, last = numbered_files(left, SEGMENTS).values()
+    last.unlink()
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert recover(left).lost[-1] == "touch: 10 rows of damaged parts, after row 30"
+    assert verify(left).worst == "lost"
+
+
 @pytest.mark.parametrize("damage", ["missing", "flipped"])
 def test_without_its_manifest_a_session_is_refused_reported_and_not_changed(left: Path, damage: str) -> None:
     path = left / "MANIFEST.json"
