@@ -15,7 +15,7 @@ from shutil import disk_usage, rmtree
 from stat import S_ISREG
 from statistics import median
 from tempfile import TemporaryFile
-from typing import Any, Final, NoReturn, cast
+from typing import Any, Final, cast
 
 from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Finding
@@ -181,15 +181,14 @@ def read_json(path: Path, limit: int = JSON_LIMIT) -> dict[str, Any]:
     """
     data = read(path, limit)
     try:
-        content: object = json.loads(data, parse_constant=_reject_number, parse_float=_finite)
+        content: object = json.loads(data, parse_constant=_number, parse_float=_number)
     except MemoryError as error:
         raise EndpointError(str(path), NO_MEMORY) from error
     except (ValueError, RecursionError) as error:
         raise InputError(str(path), f"is not valid JSON: {error}; correct it or restore a copy") from error
     if not isinstance(content, dict):
-        raise InputError(
-            str(path), f"is not a JSON object, but a {type(content).__name__}; correct it or restore a copy"
-        )
+        reason = f"is not a JSON object, but a {type(content).__name__}; correct it or restore a copy"
+        raise InputError(str(path), reason)
     return cast("dict[str, Any]", content)
 
 
@@ -308,14 +307,13 @@ def check_disk(folder: Path) -> list[Finding]:
         free, times = disk_usage(existing).free, _sync_times(existing)
     space = f"{free / 1e9:,.1f} GB free"
     sync = f"fsync {median(times) * 1e3:.1f} ms, longest of {_SYNCS} {max(times) * 1e3:.1f} ms"
-    return [
-        Finding(str(folder), space)
-        if free >= FREE_MIN
-        else Finding(str(folder), f"{space}: free some space, or use another disk", "bad"),
-        Finding(str(folder), sync)
-        if median(times) <= SYNC_MAX
-        else Finding(str(folder), f"{sync}: use a faster disk; a power cut may cost more than 0.3 s", "bad"),
-    ]
+    found = [Finding(str(folder), space), Finding(str(folder), sync)]
+    if free < FREE_MIN:
+        found[0] = Finding(str(folder), f"{space}: free some space, or use another disk", "bad")
+    if median(times) > SYNC_MAX:
+        remedy = "use a faster disk; a power cut may cost more than 0.3 s"
+        found[1] = Finding(str(folder), f"{sync}: {remedy}", "bad")
+    return found
 
 
 def _flock(descriptor: int, kind: int = fcntl.LOCK_EX | fcntl.LOCK_NB) -> int | None:
@@ -329,13 +327,11 @@ def _flock(descriptor: int, kind: int = fcntl.LOCK_EX | fcntl.LOCK_NB) -> int | 
     return descriptor
 
 
-def _reject_number(text: str) -> NoReturn:
+def _number(text: str) -> float:
+    """Return a finite number; Python also reads NaN, Infinity and 1e400."""
+    if isfinite(number := float(text)):
+        return number
     raise ValueError(f"{text} is not a JSON number")
-
-
-def _finite(text: str) -> float:
-    """Return a number, which Python reads as infinite if it is too large."""
-    return number if isfinite(number := float(text)) else _reject_number(text)
 
 
 def _sync_times(folder: Path) -> list[float]:

@@ -12,18 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from operators.batch import (
-    Batch,
-    Episodes,
-    Faults,
-    Labelled,
-    Motion,
-    Slips,
-    Touch,
-    Truth,
-    Zeroed,
-    columns,
-)
+from operators.batch import Batch, Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, Zeroed, columns
 from operators.column import Column
 from operators.errors import InputError, ParameterError
 from storage.files import SCRATCH, read_error

@@ -183,14 +183,14 @@ class Recovery:
 
         The journal has the rows from number `first` on.
         """
-        for number, part in enumerate(self._parts[table]):
-            if _count(self._parts[table][:number]) < first:
-                continue
+        parts = self._parts[table]
+        for number, part in enumerate(parts):
             try:
-                read_part(self._folder, part)
+                if _count(parts[:number]) >= first:
+                    read_part(self._folder, part)
             except InputError as error:
                 self.done.append(f"{error}; the journal has its rows")
-                self._parts[table] = self._parts[table][:number]
+                self._parts[table] = parts[:number]
                 return
 
     def _journal_rows(self) -> Iterator[NumberedRows]:

@@ -203,9 +203,8 @@ class _SessionCheck:
             self._add("lost", text)
         for name, stream in cast("dict[str, dict[str, Any]]", about.get("streams", {})).items():
             for gap in stream["gaps"]:
-                self._add(
-                    "note", f"{name} was down for {(gap['end'] - gap['start']) / s:.1f} s: {gap['reason']}"
-                )
+                seconds = (gap["end"] - gap["start"]) / s
+                self._add("note", f"{name} was down for {seconds:.1f} s: {gap['reason']}")
 
     def _check_hand_labels(self) -> None:
         """Read all versions of the hand labels, numbered from 1, and compare the newest with the rows."""

@@ -55,10 +55,11 @@ def verify(
     if as_json:
         typer.echo(json.dumps(_summary(found, repaired)))
     else:
-        for each in repaired:
-            rows = ", ".join(f"{count:,} rows of {table}" for table, count in each.rows.items()) or "no rows"
-            typer.echo(_plain("; ".join([f"{each.session}: recovered {rows}", *each.done])))
-        typer.echo(_text(path, found))
+        for line in (
+            *map(_repair_line, repaired),
+            *_lines(path, found),
+        ):  # without what a terminal interprets
+            typer.echo("".join(each if each.isprintable() else repr(each)[1:-1] for each in line))
     if found.code:
         raise typer.Exit(found.code)
 
@@ -93,18 +94,16 @@ def _summary(found: "Verified", repaired: "list[Recovery]") -> dict[str, Any]:
     }
 
 
-def _text(path: Path, found: "Verified") -> str:
+def _repair_line(done: "Recovery") -> str:
+    rows = ", ".join(f"{count:,} rows of {table}" for table, count in done.rows.items()) or "no rows"
+    return "; ".join([f"{done.session}: recovered {rows}", *done.done])
+
+
+def _lines(path: Path, found: "Verified") -> list[str]:
     width = max((len(each.weight) for each in found.findings), default=0)
     lines = [
-        _plain(f"{each.weight:{width}}  {each.session}: {each.text}".replace(" : ", " "))
-        for each in found.findings
+        f"{each.weight:{width}}  {each.session}: {each.text}".replace(" : ", " ") for each in found.findings
     ]
-    size = ", ".join(
-        [counted(found.sessions, "session"), counted(found.files, "file"), counted(found.rows, "row")]
-    )
-    return "\n".join([*lines, _plain(f"{path}: {size}: {_VERDICTS[found.worst]}")])
-
-
-def _plain(line: str) -> str:
-    """Return a line with escapes for what a terminal would interpret or UTF-8 cannot encode."""
-    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in line)
+    counts = (found.sessions, "session"), (found.files, "file"), (found.rows, "row")
+    size = ", ".join(counted(*each) for each in counts)
+    return [*lines, f"{path}: {size}: {_VERDICTS[found.worst]}"]

@@ -27,7 +27,6 @@ from storage.layout import FAULTS, SLIPS, TABLES, Table
 from storage.session import Session
 
 _CHUNK: Final = 1 << 20  # bytes of messages per compressed chunk
-_INT64: Final = np.dtype(np.int64)
 _TYPES: Final = {"b": "boolean", "i": "integer", "f": "number"}
 _STAMP: Final = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 _Message: TypeAlias = tuple[int, str, bytes]  # time (ns), topic, JSON
@@ -108,11 +107,8 @@ def messages(table: Table, batch: Batch) -> Iterator[tuple[int, bytes]]:
     Raises:
         InputError: if a row is from before 1970, which MCAP cannot represent.
     """
-    columns = [
-        (name, _values(getattr(batch, name), column))
-        for name, column in table.columns.items()
-        if name != "time"
-    ]
+    stored = [(name, column) for name, column in table.columns.items() if name != "time"]
+    columns = [(name, _values(getattr(batch, name), column)) for name, column in stored]
     for row, time in enumerate(batch.time.tolist()):
         if time < 0:
             reason = "is from before 1970, which MCAP cannot represent: export to lerobot"
@@ -155,7 +151,7 @@ def _values(values: NDArray[Any], column: Column) -> list[Any]:
 
 
 def _is_span(column: Column) -> bool:
-    return column.dtype == _INT64 and column.unit == "ns"
+    return column.dtype == np.int64 and column.unit == "ns"
 
 
 def _stamp(time: int) -> dict[str, int]:
