@@ -311,8 +311,8 @@ def check_disk(folder: Path) -> list[Finding]:
     if free < FREE_MIN:
         found[0] = Finding(str(folder), f"{space}: free some space, or use another disk", "bad")
     if median(times) > SYNC_MAX:
-        remedy = "use a faster disk; a power cut may cost more than 0.3 s"
-        found[1] = Finding(str(folder), f"{sync}: {remedy}", "bad")
+        slow = f"{sync}: use a faster disk; a power cut may cost more than 0.3 s"
+        found[1] = Finding(str(folder), slow, "bad")
     return found
 
 

@@ -151,8 +151,7 @@ class Recovery:
 
     def _read_journal(self) -> None:
         """Read the rows of the journal up to the first missing row of each table, and note what is lost."""
-        left_out = Counter[Table]()
-        listed = {table: _count(parts) for table, parts in self._parts.items()}
+        left_out, listed = Counter[Table](), {table: _count(each) for table, each in self._parts.items()}
         for first, batch in self._journal_rows():
             table = TABLE_OF[type(batch)]
             if table not in self._buffers:

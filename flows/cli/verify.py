@@ -55,11 +55,12 @@ def verify(
     if as_json:
         typer.echo(json.dumps(_summary(found, repaired)))
     else:
-        for line in (
-            *map(_repair_line, repaired),
-            *_lines(path, found),
-        ):  # without what a terminal interprets
-            typer.echo("".join(each if each.isprintable() else repr(each)[1:-1] for each in line))
+        lines = list[str]()
+        for each in repaired:
+            rows = ", ".join(f"{count:,} rows of {table}" for table, count in each.rows.items()) or "no rows"
+            lines.append("; ".join([f"{each.session}: recovered {rows}", *each.done]))
+        for line in (*lines, *_lines(path, found)):  # control characters of a name are printed as escapes
+            typer.echo("".join(char if char.isprintable() else repr(char)[1:-1] for char in line))
     if found.code:
         raise typer.Exit(found.code)
 
@@ -70,8 +71,7 @@ def _repair(path: Path) -> "list[Recovery]":
     from storage import recover
     from storage.layout import session_folders
 
-    done = list["Recovery"]()
-    folders = session_folders(path)
+    done, folders = list["Recovery"](), session_folders(path)
     with progress_bar("repairing") as update:
         for number, folder in enumerate(folders, 1):
             try:
@@ -92,11 +92,6 @@ def _summary(found: "Verified", repaired: "list[Recovery]") -> dict[str, Any]:
         "worst": "good" if found.worst == "note" else found.worst,  # a note is not a fault
         "code": found.code,
     }
-
-
-def _repair_line(done: "Recovery") -> str:
-    rows = ", ".join(f"{count:,} rows of {table}" for table, count in done.rows.items()) or "no rows"
-    return "; ".join([f"{done.session}: recovered {rows}", *done.done])
 
 
 def _lines(path: Path, found: "Verified") -> list[str]:
