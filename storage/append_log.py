@@ -77,9 +77,8 @@ class LogReader:
         descriptor = files.open_file(path)
         try:
             if (size := os.fstat(descriptor).st_size) > SIZE_MAX:
-                raise InputError(
-                    str(path), f"is larger than {SIZE_MAX // files.MiB:,} MiB, the limit for a log"
-                )
+                reason = f"is larger than {SIZE_MAX // files.MiB:,} MiB, the limit for a log"
+                raise InputError(str(path), reason)
             self._data = os.pread(descriptor, size, 0)
         finally:
             os.close(descriptor)

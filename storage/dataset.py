@@ -22,7 +22,7 @@ SYNC_INTERVAL: Final = 0.2  # s, from the end of an fsync of the journal to the 
 
 
 class Dataset(Sink[Recordable]):
-    """Folder of recordings; each run becomes a session, see `storage.layout`.
+    """Folder of recordings; each run becomes a session, see docs/reference/dataset.md.
 
     All rows are committed in order of arrival, in whole parts; readers see whole parts only. The type of a
     batch determines its table: Touch as received, or Zeroed (not both in one session), goes to touch,
@@ -193,7 +193,9 @@ class Dataset(Sink[Recordable]):
     def _begin_commit(self, writer: SessionWriter) -> asyncio.Task[None]:
         writer.begin_commit()
         self._committing = asyncio.create_task(self._run_commit(writer))
-        self._committing.add_done_callback(_ignore_failure)
+        self._committing.add_done_callback(
+            lambda task: task.cancelled() or task.exception()
+        )  # so asyncio logs none
         return self._committing
 
     async def _run_commit(self, writer: SessionWriter) -> None:
@@ -202,9 +204,3 @@ class Dataset(Sink[Recordable]):
                 await asyncio.to_thread(writer.commit)
                 return
         await asyncio.to_thread(writer.commit)
-
-
-def _ignore_failure(task: asyncio.Task[None]) -> None:
-    """Retrieve the exception, so that asyncio does not log it: the next write repeats the work."""
-    if not task.cancelled():
-        task.exception()

@@ -9,12 +9,13 @@ from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from errno import EACCES, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, EPERM
+from math import isfinite
 from pathlib import Path
 from shutil import disk_usage, rmtree
 from stat import S_ISREG
 from statistics import median
 from tempfile import TemporaryFile
-from typing import Any, Final, NoReturn, cast
+from typing import Any, Final, cast
 
 from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Finding
@@ -33,6 +34,7 @@ _SYNCED_AT_ONCE: Final = 8  # files that are synced concurrently: a disk batches
 FREE_MIN: Final = 1e9  # bytes
 SYNC_MAX: Final = 0.05  # s; on slower disks a power cut costs more rows than `storage.dataset.Dataset` states
 _SYNCS: Final = 20
+_FOLDER: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 _BLOCK: Final = 4096  # bytes written before each fsync
 
 
@@ -179,15 +181,14 @@ def read_json(path: Path, limit: int = JSON_LIMIT) -> dict[str, Any]:
     """
     data = read(path, limit)
     try:
-        content: object = json.loads(data, parse_constant=_reject_number)
+        content: object = json.loads(data, parse_constant=_number, parse_float=_number)
     except MemoryError as error:
         raise EndpointError(str(path), NO_MEMORY) from error
     except (ValueError, RecursionError) as error:
         raise InputError(str(path), f"is not valid JSON: {error}; correct it or restore a copy") from error
     if not isinstance(content, dict):
-        raise InputError(
-            str(path), f"is not a JSON object, but a {type(content).__name__}; correct it or restore a copy"
-        )
+        reason = f"is not a JSON object, but a {type(content).__name__}; correct it or restore a copy"
+        raise InputError(str(path), reason)
     return cast("dict[str, Any]", content)
 
 
@@ -238,7 +239,8 @@ def partial_output(path: Path, make: Callable[..., None] = Path.mkdir) -> Genera
     """
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise EndpointError(str(path), "exists already: give another name, or remove it")
-    path = path.resolve() if path.is_symlink() else path  # a folder cannot be renamed to a link
+    if path.is_symlink() or not path.name:  # a folder can be renamed neither to a link nor to `.`
+        path = path.resolve()
     scratch = path.with_name(path.name + PARTIAL)
     with write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -261,13 +263,13 @@ def partial_output(path: Path, make: Callable[..., None] = Path.mkdir) -> Genera
 
 def lock(folder: Path) -> int | None:
     """Lock a folder; return the descriptor that holds the lock until it is closed, None if another has it."""
-    return _flock(os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC), wait=False)
+    return _flock(os.open(folder, _FOLDER))
 
 
 @contextmanager
 def exclusive(folder: Path) -> Generator[None]:
     """Wait for the lock of a folder, and hold it."""
-    held = _flock(os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC), wait=True)
+    held = _flock(os.open(folder, _FOLDER), fcntl.LOCK_EX)
     assert held is not None, "waited for it"
     try:
         yield
@@ -280,13 +282,13 @@ def lock_file(path: Path) -> int | None:
 
     Return a descriptor or None as `lock` does.
     """
-    return _flock(os.open(f"{path}.lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600), wait=False)
+    return _flock(os.open(f"{path}.lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600))
 
 
 def locked(folder: Path) -> bool:
     """Return True if a process holds the lock of a folder; False also if the folder cannot be opened."""
     try:
-        descriptor = lock(folder)
+        descriptor = _flock(os.open(folder, _FOLDER), fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError:
         return False
     if descriptor is not None:
@@ -305,19 +307,18 @@ def check_disk(folder: Path) -> list[Finding]:
         free, times = disk_usage(existing).free, _sync_times(existing)
     space = f"{free / 1e9:,.1f} GB free"
     sync = f"fsync {median(times) * 1e3:.1f} ms, longest of {_SYNCS} {max(times) * 1e3:.1f} ms"
-    return [
-        Finding(str(folder), space)
-        if free >= FREE_MIN
-        else Finding(str(folder), f"{space}: free some space, or use another disk", "bad"),
-        Finding(str(folder), sync)
-        if median(times) <= SYNC_MAX
-        else Finding(str(folder), f"{sync}: use a faster disk; a power cut may cost more than 0.3 s", "bad"),
-    ]
+    found = [Finding(str(folder), space), Finding(str(folder), sync)]
+    if free < FREE_MIN:
+        found[0] = Finding(str(folder), f"{space}: free some space, or use another disk", "bad")
+    if median(times) > SYNC_MAX:
+        slow = f"{sync}: use a faster disk; a power cut may cost more than 0.3 s"
+        found[1] = Finding(str(folder), slow, "bad")
+    return found
 
 
-def _flock(descriptor: int, *, wait: bool) -> int | None:
+def _flock(descriptor: int, kind: int = fcntl.LOCK_EX | fcntl.LOCK_NB) -> int | None:
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        fcntl.flock(descriptor, kind)
     except OSError as error:
         os.close(descriptor)
         if isinstance(error, BlockingIOError):
@@ -326,7 +327,10 @@ def _flock(descriptor: int, *, wait: bool) -> int | None:
     return descriptor
 
 
-def _reject_number(text: str) -> NoReturn:
+def _number(text: str) -> float:
+    """Return a finite number; Python also reads NaN, Infinity and 1e400."""
+    if isfinite(number := float(text)):
+        return number
     raise ValueError(f"{text} is not a JSON number")
 
 

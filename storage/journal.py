@@ -260,7 +260,12 @@ def decode(record: bytes, where: str) -> NumberedRows:
     row = packed_type(kind, cells) if kind and cells <= CELL_LIMIT else None
     if kind is None or row is None or len(record) != _HEAD.size + count * row.itemsize:
         raise InputError(where, f"has an invalid record{_MOVE}")
-    return NumberedRows(first, kind.unpack(np.frombuffer(record, row, count, _HEAD.size), finger))
+    rows = np.frombuffer(record, row, count, _HEAD.size)
+    for name, each in columns(kind).items():
+        known = not each.names or np.isin(rows[name], np.arange(len(each.names))).all()
+        if not known or 0 in rows[name].shape[1:]:  # a code without a name, or no cell
+            raise InputError(where, f"has an invalid record{_MOVE}")
+    return NumberedRows(first, kind.unpack(rows, finger))
 
 
 def check_segment(log: LogReader, session: str, number: int) -> None:

@@ -1,21 +1,4 @@
-"""Files of a dataset.
-
-.. code-block:: text
-
-    dataset.json
-    sessions/<session>/session.json                 description of the recording; written first
-    sessions/<session>/touch/part-000000.parquet    rows as received; likewise motion
-    sessions/<session>/samples/part-000000.parquet  derived rows, which can be rebuilt
-    sessions/<session>/slips.parquet                slip events; likewise faults.parquet
-    sessions/<session>/episodes.parquet             motions of the arm
-    sessions/<session>/truth/part-000000.parquet    state of a simulated contact at each touch row
-    sessions/<session>/MANIFEST.json                the files above with rows, time range and sha256
-    sessions/<session>/journal/000000.wal           rows that are in no file above yet: while recording, or
-                                                    after a kill; see storage.journal
-    sessions/<session>/labels/000001.json           labels given by hand, one file per version; see
-                                                    storage.hand_labels
-    sessions/<session>/damaged/                     files that a recovery moved away
-"""
+"""Files of a dataset, as docs/reference/dataset.md describes them."""
 
 import os
 import re
@@ -29,18 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from operators.batch import (
-    Batch,
-    Episodes,
-    Faults,
-    Labelled,
-    Motion,
-    Slips,
-    Touch,
-    Truth,
-    Zeroed,
-    columns,
-)
+from operators.batch import Batch, Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, Zeroed, columns
 from operators.column import Column
 from operators.errors import InputError, ParameterError
 from storage.files import SCRATCH, read_error

@@ -168,10 +168,9 @@ def alarm_entries(name: str, card: Mapping[str, Any]) -> dict[float, Mapping[str
         InputError: if they are damaged.
     """
     try:
-        return {
-            float(each["false_alarms_per_min"]): each for each in card.get(ALARMS, ()) if each["debounce"]
-        }
-    except (KeyError, TypeError, ValueError) as error:
+        entries = [each for each in card.get(ALARMS, ()) if each["debounce"]]
+        return {float(each["false_alarms_per_min"]): each for each in entries}
+    except (ArithmeticError, KeyError, TypeError, ValueError) as error:
         reason = f"its card has damaged settings in {ALARMS!r}: remove them, then calibrate it again"
         raise InputError(name, reason) from error
 
@@ -182,8 +181,7 @@ def _alarm_settings(name: str, card: Mapping[str, Any], per_minute: float) -> An
     for rate, entry in found.items():
         if isclose(rate, per_minute, rel_tol=1e-6):
             return entry["debounce"]
-    known = (
-        f"calibrated for {', '.join(f'{rate:g}/min' for rate in found)} only" if found else "not calibrated"
-    )
+    rates = ", ".join(f"{rate:g}/min" for rate in found)
+    known = f"calibrated for {rates} only" if found else "not calibrated"
     command = f"slipflow calibrate {name} --on SESSIONS --false-alarms {per_minute:g}/min"
     raise InputError(name, f"is {known}; run `{command}`")

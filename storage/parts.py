@@ -18,7 +18,7 @@ from storage import files
 from storage.arrow import pa, pq
 from storage.description import UNKNOWN, check_identity, identity
 from storage.layout import MANIFEST, TABLES, Table, file_name, may_exist, numbered_files, table_of
-from storage.schema import cells_of, fields_of, flat, schema
+from storage.schema import cells_of, flat, schema
 
 MANIFEST_VERSION: Final = 2
 PART_SPAN: Final = 60 * s  # ns, longest event time span of a part
@@ -135,8 +135,7 @@ def read_part(folder: Path, part: Part) -> pa.Table:
     """Return the columns of a table from its Parquet file, which may have others.
 
     Raises:
-        InputError: if the file is missing, damaged, not as listed, lacks a column or has more than
-            `UNPACKED_LIMIT` bytes.
+        InputError: if the file is missing, damaged or not as listed, or as `read_rows`.
         EndpointError: if the disk fails or memory is short.
     """
     path, table = folder / part.path, table_of(part.path)
@@ -144,10 +143,24 @@ def read_part(folder: Path, part: Part) -> pa.Table:
     data = files.read(path)
     if hashlib.sha256(data).hexdigest() != part.sha256:
         raise InputError(str(path), "is damaged: its sha256 differs from the manifest; restore a copy")
+    rows = read_rows(path, table, data)
+    if Part.of(part.path, rows, part.sha256) != part:
+        raise InputError(str(path), "has other rows or times than in the manifest; restore a copy of both")
+    return rows
+
+
+def read_rows(path: Path, table: Table, data: bytes) -> pa.Table:
+    """Return the columns of a table from the content of a Parquet file; `path` names it in errors.
+
+    Raises:
+        InputError: if it is damaged, lacks a column or has more than `UNPACKED_LIMIT` bytes.
+        EndpointError: if memory is short.
+    """
     try:
         file: Any = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
-        cells = cells_of(file.schema_arrow)
-        if file.metadata.num_rows * packed_type(table.kind, cells).itemsize > UNPACKED_LIMIT:
+        cells, about = cells_of(file.schema_arrow), file.metadata
+        stored = sum(about.row_group(each).total_byte_size for each in range(about.num_row_groups))
+        if max(stored, about.num_rows * packed_type(table.kind, cells).itemsize) > UNPACKED_LIMIT:
             reason = f"unpacks to more than {UNPACKED_LIMIT // files.MiB} MiB, the limit for such a file"
             raise InputError(str(path), reason)
         expected = schema(table, cells=cells)
@@ -163,8 +176,6 @@ def read_part(folder: Path, part: Part) -> pa.Table:
     for name in expected.names:
         if rows[name].null_count or flat(rows[name]).null_count:
             raise InputError(str(path), f"column {name!r} has nulls, must have none")
-    if Part.of(part.path, rows, part.sha256) != part:
-        raise InputError(str(path), "has other rows or times than in the manifest; restore a copy of both")
     return rows
 
 
@@ -187,7 +198,7 @@ def _part(where: str, content: Any) -> Part:
 def _encodings(schema: pa.Schema) -> dict[str, str]:
     """Return the Parquet encoding of each column by its path in the file."""
     encodings: dict[str, str] = {}
-    for field in fields_of(schema):
+    for field in schema:
         nested = pa.types.is_fixed_size_list(field.type)
         path = f"{field.name}.list.element" if nested else field.name
         kind = field.type.value_type if nested else field.type
@@ -199,11 +210,13 @@ def _encodings(schema: pa.Schema) -> dict[str, str]:
 
 
 def _check_columns(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
-    columns = {field.name: field for field in fields_of(found)}
-    for field in fields_of(expected):
+    columns = {field.name: field for field in found}
+    for field in expected:
         other = columns.get(field.name)
         if other is None:
             raise InputError(str(path), f"has no column {field.name!r}; it has {', '.join(columns)}")
+        if found.names.count(field.name) > 1:
+            raise InputError(str(path), f"has several columns {field.name!r}")
         if _with_any_index(other.type) != _with_any_index(field.type):
             raise InputError(str(path), f"column {field.name!r} is {other.type}, must be {field.type}")
         one, must_be = (

@@ -9,7 +9,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, cast
 
-from operators.errors import EndpointError, os_error_reason
+from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Description
 from storage import files
 from storage.append_log import LogReader
@@ -19,19 +19,19 @@ from storage.journal import Buffer, NumberedRows, check_segment, decode, delete_
 from storage.layout import (
     DAMAGED,
     JOURNAL,
-    LABELS,
+    LABEL_FILES,
     MANIFEST,
     SEGMENTS,
+    SESSION,
     TABLE_OF,
     TABLES,
     Table,
     check_links,
     file_number,
-    files_of,
     may_exist,
     numbered_files,
 )
-from storage.parts import PART_ROWS, Part, read_manifest, write_manifest, write_parts
+from storage.parts import PART_ROWS, Part, read_manifest, read_part, read_rows, write_manifest, write_parts
 from storage.schema import to_arrow
 
 
@@ -39,10 +39,10 @@ def recover(folder: str | Path) -> "Recovery":
     """Repair a session, so that all its rows are in parts that its manifest lists.
 
     The rows of the journal become parts, table by table, up to the first missing row: a table never has a
-    gap. A part that the manifest does not list is deleted if the journal has its rows, else moved to the
-    folder `damaged`, as are damaged segments of the journal. Finally session.json records the recovery, and
-    the journal is deleted. A session that needs no repair is not changed; a recovery that was killed can be
-    run again.
+    gap. They replace listed parts that are damaged or missing, and those after them. A part that the manifest
+    does not list is deleted if the journal has its rows, else moved to the folder `damaged`, as are damaged
+    segments of the journal. Finally session.json records the recovery, and the journal is deleted. A session
+    that needs no repair is not changed; a recovery that was killed can be run again.
 
     Raises:
         InputError: if it is not a session, its manifest is damaged, its journal has another version, or it
@@ -93,19 +93,21 @@ class Recovery:
         self._before = cast("dict[str, Any]", about.get("recovered", {}))  # by earlier recoveries
         self._listed = listed = read_manifest(folder, about)
         self._parts = {table: [part for path, part in listed.items() if table.has(path)] for table in TABLES}
-        found = [path for table in TABLES for path in numbered_files(folder, table.pattern).values()]
-        self._strays = [path for path in found if path.relative_to(folder).as_posix() not in listed]
         self._logs = numbered_files(folder, SEGMENTS)
         self._damaged = list[Path]()  # segments to be kept
         self._buffers = dict[Table, Buffer]()  # that the journal adds
         self._read_journal()
-        self._covered = not self._strays or (bool(self._logs) and not self.lost)  # the journal has their rows
-        if not self._covered:
-            self.done += [f"{path.relative_to(folder)}: is not in the manifest" for path in self._strays]
+        self._repeated, self._unknown = list[Path](), list[Path]()  # parts that are not listed
+        kept = {folder / part.path for part in self._all_parts()}
+        for table in TABLES:
+            strays = [path for path in numbered_files(folder, table.pattern).values() if path not in kept]
+            (self._repeated if self._has_journal_of(table, strays) else self._unknown).extend(strays)
+        names = [path.relative_to(folder).as_posix() for path in self._unknown]
+        self.done += [f"{each}: is not in the manifest" for each in names if each not in listed]
         if not self._buffers and (folder / JOURNAL).is_dir() and journal_files(folder):
             self.done.append("its journal was deleted: all its rows are in parts")
-        if "end_ns" not in about and not self._logs:
-            if self._all_parts() or not self._covered:
+        if "end_ns" not in about and not self._logs and not self._before:
+            if self._all_parts() or self._unknown:
                 self.lost.append("was not closed and lacks its journal: rows after its last part are missing")
             else:
                 self.done.append("was not closed, and has no rows")
@@ -123,9 +125,8 @@ class Recovery:
         Raises:
             OSError: it may be tried again.
         """
-        if not self._covered:
-            for path in self._strays:
-                self._move_away(path)
+        for path in self._unknown:
+            self._move_away(path)
         for table in (table for table in TABLES if table in self._buffers):
             before = self._parts[table] if table.parted else []
             number = 1 + max((file_number(table.pattern, part.path) or 0 for part in before), default=-1)
@@ -150,23 +151,46 @@ class Recovery:
 
     def _read_journal(self) -> None:
         """Read the rows of the journal up to the first missing row of each table, and note what is lost."""
-        left_out = Counter[Table]()
+        left_out, listed = Counter[Table](), {table: _count(each) for table, each in self._parts.items()}
         for first, batch in self._journal_rows():
             table = TABLE_OF[type(batch)]
-            start = _count(self._parts[table]) if table.parted else 0  # single files are written anew
-            buffer = self._buffers.get(table) or Buffer(type(batch), start, batch.cells)
-            if table in left_out or first > buffer.end:
+            if table not in self._buffers:
+                self._leave_out_damaged_parts(table, first)
+                start = _count(self._parts[table]) if table.parted else 0  # single files are written anew
+                self._buffers[table] = Buffer(type(batch), start, batch.cells)
+            buffer = self._buffers[table]
+            if table in left_out or first > buffer.end or batch.cells != buffer.cells:
                 left_out[table] += len(batch)
             elif first + len(batch) > buffer.end:
                 buffer.add(batch[buffer.end - first :])
-                self._buffers[table] = buffer
-        for table in (table for table in [*self._buffers] if not table.parted):
-            if self._buffers[table].rows <= _count(self._parts[table]):
-                del self._buffers[table]  # its file has them already
-        for table, rows in left_out.items():
-            end = self._buffers[table].end if table in self._buffers else _count(self._parts[table])
-            self.lost.append(f"{table.name}: {rows} rows that do not follow row {end}")
-            self._damaged = list(self._logs.values())
+        for table, parts in self._parts.items():
+            added, end = self._buffers.get(table), _count(parts)
+            if added is not None and added.end <= end:
+                del self._buffers[table]  # its parts have them already
+            elif added is not None:
+                end = added.end
+            if table in left_out:
+                self.lost.append(f"{table.name}: {left_out[table]} rows that do not follow row {end}")
+                self._damaged = list(self._logs.values())
+            if end < listed[table]:
+                self.lost.append(
+                    f"{table.name}: {listed[table] - end} rows of damaged parts, after row {end}"
+                )
+
+    def _leave_out_damaged_parts(self, table: Table, first: int) -> None:
+        """Keep the listed parts of a table before the first damaged one whose rows the journal has.
+
+        The journal has the rows from number `first` on.
+        """
+        parts = self._parts[table]
+        for number, part in enumerate(parts):
+            try:
+                if _count(parts[:number]) >= first:
+                    read_part(self._folder, part)
+            except InputError as error:
+                self.done.append(f"{error}; the journal has its rows")
+                self._parts[table] = parts[:number]
+                return
 
     def _journal_rows(self) -> Iterator[NumberedRows]:
         """Yield the rows of all segments, those of single-file tables last; each segment repeats these.
@@ -190,13 +214,25 @@ class Recovery:
                 self._damaged += [] if damage.torn else [path]
         yield from sorted(single, key=attrgetter("first"))
 
+    def _has_journal_of(self, table: Table, strays: list[Path]) -> bool:
+        """Return true if the rows of parts that are not listed are the first ones that the journal adds."""
+        try:
+            times = [read_rows(path, table, files.read(path))["time"].to_numpy() for path in strays]
+        except InputError:
+            return False
+        added = self._buffers[table].batches() if table in self._buffers else []
+        found, known = (
+            b"".join(each.tobytes() for each in of) for of in (times, [each.time for each in added])
+        )
+        return bool(self._logs) and known.startswith(found)
+
     def _clean_up(self) -> None:
-        """Delete temporary files, strays and the journal; keep damaged files."""
+        """Delete temporary files, repeated parts and the journal; keep damaged files."""
         for path in self._damaged:
             self._move_away(path)
         listed = {self._folder / part.path for part in self._all_parts()}
         scratch = scratch_files(self._folder)
-        for path in (*scratch, *(path for path in self._strays if path not in listed)):
+        for path in (*scratch, *(path for path in self._repeated if path not in listed)):
             path.unlink(missing_ok=True)
         if (self._folder / JOURNAL).is_dir():
             delete_journal(self._folder)
@@ -214,8 +250,8 @@ class Recovery:
 
 def scratch_files(folder: Path) -> list[Path]:
     """Return the temporary files that a killed process has left in a session, except in its journal."""
-    patterns = "*", f"{LABELS}/*", *(f"{table.name}/*" for table in TABLES if table.parted)
-    found = (path for each in patterns for path in files_of(folder, each + files.SCRATCH))
+    patterns = SESSION, MANIFEST, LABEL_FILES, *(table.pattern for table in TABLES)
+    found = (path for each in patterns for path in numbered_files(folder, each + files.SCRATCH).values())
     return [path for path in found if not path.is_dir()]
 
 

@@ -44,7 +44,7 @@ def schema(table: Table, kind: type[Batch] | None = None, cells: int = BAROMETER
 
 def cells_of(found: pa.Schema) -> int:
     """Return the number of cells of the fingertip in a file; of a TakkTile if it has no column per cell."""
-    kinds = (field.type for field in fields_of(found) if field.name in _PER_CELL)
+    kinds = (field.type for field in found if field.name in _PER_CELL)
     return next((int(kind.list_size) for kind in kinds if pa.types.is_fixed_size_list(kind)), BAROMETERS)
 
 
@@ -97,11 +97,6 @@ def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Bat
         each: kind(*(value[own] for value in values.values()), finger=each)
         for each, own in zip(found, np.split(order, first[1:]), strict=True)
     }
-
-
-def fields_of(schema: pa.Schema) -> list[pa.Field[Any]]:
-    """Return the fields of a schema."""
-    return list(schema)
 
 
 def flat(column: pa.ChunkedArray[Any]) -> pa.Array[Any]:

@@ -18,15 +18,7 @@ from storage.description import read_session
 from storage.files import locked
 from storage.hand_labels import HandLabels, LabelSpan, read_hand_labels, write_hand_labels
 from storage.journal import journal_files
-from storage.layout import (
-    SESSION,
-    TABLE_OF,
-    TABLES,
-    Table,
-    check_links,
-    session_folders,
-    table_of,
-)
+from storage.layout import SESSION, TABLE_OF, TABLES, Table, check_links, session_folders, table_of
 from storage.parts import Part, read_manifest, read_part
 from storage.recovery import recover
 
@@ -146,12 +138,8 @@ class Session:
         """
         import polars as pl
 
-        parts = [
-            read_part(self.folder, part)
-            for each in TABLES
-            if each.name == table
-            for part in self._listed(each)
-        ]
+        kinds = [each for each in TABLES if each.name == table]
+        parts = [read_part(self.folder, part) for each in kinds for part in self._listed(each)]
         if not parts:
             reason = f"has no table {table!r}; it has {', '.join(self.tables) or 'none'}"
             raise InputError(str(self.folder), reason)

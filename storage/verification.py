@@ -171,7 +171,7 @@ class _SessionCheck:
                     self._add("note", f"{named}: restore its own, unless the folder was renamed")
                 self._check_ending(self.about)
                 self._check_streams(self.about)
-            except (AttributeError, LookupError, TypeError) as error:
+            except (ArithmeticError, AttributeError, LookupError, TypeError) as error:
                 self.about = {}
                 self._add("lost", f"{self.folder / SESSION}: has invalid content: {error!r}")
 
@@ -203,9 +203,8 @@ class _SessionCheck:
             self._add("lost", text)
         for name, stream in cast("dict[str, dict[str, Any]]", about.get("streams", {})).items():
             for gap in stream["gaps"]:
-                self._add(
-                    "note", f"{name} was down for {(gap['end'] - gap['start']) / s:.1f} s: {gap['reason']}"
-                )
+                seconds = (gap["end"] - gap["start"]) / s
+                self._add("note", f"{name} was down for {seconds:.1f} s: {gap['reason']}")
 
     def _check_hand_labels(self) -> None:
         """Read all versions of the hand labels, numbered from 1, and compare the newest with the rows."""

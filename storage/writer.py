@@ -61,7 +61,7 @@ class SessionWriter:
             held = None
             try:
                 held = lock(self.folder)
-                self._describe()
+                describe_session(self.folder, run, str(root))
                 self._write_manifest()
                 if run.live:
                     self.journal = Journal(self.folder, run.session)
@@ -192,14 +192,11 @@ class SessionWriter:
             self.commit()
         self.commit(final=True)
         with self._reporting():
-            self._describe(ended=True)
+            describe_session(self.folder, self._run, str(self._root), ended=True)
             if self.journal:
                 self.journal.close()
                 delete_journal(self.folder)
         self._release()
-
-    def _describe(self, *, ended: bool = False) -> None:
-        describe_session(self.folder, self._run, str(self._root), ended=ended)
 
     def _write_manifest(self) -> None:
         about: Description = {"session": self._run.session, "start_ns": self._run.start}

@@ -55,10 +55,12 @@ def verify(
     if as_json:
         typer.echo(json.dumps(_summary(found, repaired)))
     else:
+        lines = list[str]()
         for each in repaired:
             rows = ", ".join(f"{count:,} rows of {table}" for table, count in each.rows.items()) or "no rows"
-            typer.echo("; ".join([f"{each.session}: recovered {rows}", *each.done]))
-        typer.echo(_text(path, found))
+            lines.append("; ".join([f"{each.session}: recovered {rows}", *each.done]))
+        for line in (*lines, *_lines(path, found)):  # control characters of a name are printed as escapes
+            typer.echo("".join(char if char.isprintable() else repr(char)[1:-1] for char in line))
     if found.code:
         raise typer.Exit(found.code)
 
@@ -69,8 +71,7 @@ def _repair(path: Path) -> "list[Recovery]":
     from storage import recover
     from storage.layout import session_folders
 
-    done = list["Recovery"]()
-    folders = session_folders(path)
+    done, folders = list["Recovery"](), session_folders(path)
     with progress_bar("repairing") as update:
         for number, folder in enumerate(folders, 1):
             try:
@@ -93,12 +94,11 @@ def _summary(found: "Verified", repaired: "list[Recovery]") -> dict[str, Any]:
     }
 
 
-def _text(path: Path, found: "Verified") -> str:
+def _lines(path: Path, found: "Verified") -> list[str]:
     width = max((len(each.weight) for each in found.findings), default=0)
     lines = [
         f"{each.weight:{width}}  {each.session}: {each.text}".replace(" : ", " ") for each in found.findings
     ]
-    size = ", ".join(
-        [counted(found.sessions, "session"), counted(found.files, "file"), counted(found.rows, "row")]
-    )
-    return "\n".join([*lines, f"{path}: {size}: {_VERDICTS[found.worst]}"])
+    counts = (found.sessions, "session"), (found.files, "file"), (found.rows, "row")
+    size = ", ".join(counted(*each) for each in counts)
+    return [*lines, f"{path}: {size}: {_VERDICTS[found.worst]}"]

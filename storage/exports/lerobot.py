@@ -230,9 +230,8 @@ def _frames(session: Session, rate: int, contents: _Contents) -> tuple[Values, T
     values["valid"] = np.concatenate(valid, axis=1)
     values["label"] = np.stack(labels, axis=1).astype(np.int64)
     if not known.any():
-        raise InputError(
-            str(session.folder), f"has no frame at {rate} Hz with all its data; give a lower rate"
-        )
+        reason = f"has no frame at {rate} Hz with all its data; give a lower rate"
+        raise InputError(str(session.folder), reason)
     span = slice(int(known.argmax()), len(known) - int(known[::-1].argmax()))  # from the first to the last
     values = {name: each[span] for name, each in values.items()}
     number = np.arange(len(time[span]))

@@ -5,6 +5,7 @@ Foxglove shows as times and which no reader rounds. JSON has no NaN: values that
 and a column without any finite value is omitted from its message.
 """
 
+import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -26,7 +27,6 @@ from storage.layout import FAULTS, SLIPS, TABLES, Table
 from storage.session import Session
 
 _CHUNK: Final = 1 << 20  # bytes of messages per compressed chunk
-_INT64: Final = np.dtype(np.int64)
 _TYPES: Final = {"b": "boolean", "i": "integer", "f": "number"}
 _STAMP: Final = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 _Message: TypeAlias = tuple[int, str, bytes]  # time (ns), topic, JSON
@@ -51,12 +51,12 @@ def export(session: Session, path: Path) -> Mapping[str, int]:
 
     with partial_output(path, Path.touch) as scratch, scratch.open("wb") as file:
         writer: Any = Writer(file, chunk_size=_CHUNK)
-        writer.start(profile="", library=str(session.about.get("software", "slipflow")))
+        writer.start(profile="", library=_text(session.about.get("software", "slipflow")))
         labels = session.hand_labels()
         described = {"session": session.about, "hand_labels": asdict(labels) if labels.version else {}}
         for name, content in described.items():
             if content:
-                writer.add_metadata(name, {key: _text(value) for key, value in content.items()})
+                writer.add_metadata(name, {_text(key): _text(value) for key, value in content.items()})
         channels, sequences, streams = dict[str, int](), Counter[str](), list[Iterator[_Message]]()
         present = [(table, finger) for table in TABLES for finger in session.fingers(table.kind)]
         for table, finger in present:
@@ -107,11 +107,8 @@ def messages(table: Table, batch: Batch) -> Iterator[tuple[int, bytes]]:
     Raises:
         InputError: if a row is from before 1970, which MCAP cannot represent.
     """
-    columns = [
-        (name, _values(getattr(batch, name), column))
-        for name, column in table.columns.items()
-        if name != "time"
-    ]
+    stored = [(name, column) for name, column in table.columns.items() if name != "time"]
+    columns = [(name, _values(getattr(batch, name), column)) for name, column in stored]
     for row, time in enumerate(batch.time.tolist()):
         if time < 0:
             reason = "is from before 1970, which MCAP cannot represent: export to lerobot"
@@ -154,7 +151,7 @@ def _values(values: NDArray[Any], column: Column) -> list[Any]:
 
 
 def _is_span(column: Column) -> bool:
-    return column.dtype == _INT64 and column.unit == "ns"
+    return column.dtype == np.int64 and column.unit == "ns"
 
 
 def _stamp(time: int) -> dict[str, int]:
@@ -163,4 +160,6 @@ def _stamp(time: int) -> dict[str, int]:
 
 
 def _text(value: object) -> str:
-    return value if isinstance(value, str) else msgspec.json.encode(value).decode()
+    """Return a text, or the JSON of another value, without what UTF-8 cannot encode."""
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, separators=(",", ":"))
+    return text.encode(errors="replace").decode()

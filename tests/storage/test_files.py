@@ -1,8 +1,10 @@
 """Files: read with typed errors, written completely or not at all, on a disk that is checked first."""
 
 import errno
+import fcntl
 import os
 from collections.abc import Callable
+from contextlib import ExitStack, chdir
 from pathlib import Path
 
 import pytest
@@ -24,12 +26,22 @@ def test_an_unreadable_file_is_an_input_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", [b"", b"[1]", b"1", b'{"a": NaN}', b"{", b"\xff", b"[" * 100_000, b'{"a":1}}']
+    "text", [b"", b"[1]", b"1", b'{"a": NaN}', b'{"a": 1e400}', b"{", b"\xff", b"[" * 100_000, b'{"a":1}}']
 )
 def test_a_file_without_a_json_object_is_an_input_error(tmp_path: Path, text: bytes) -> None:
     (tmp_path / "x.json").write_bytes(text)
     with pytest.raises(InputError, match=r"x\.json: is not"):
         files.read_json(tmp_path / "x.json")
+
+
+def test_looking_for_the_lock_of_a_folder_does_not_lock_it(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        descriptor = os.open(tmp_path, os.O_RDONLY)
+        stack.callback(os.close, descriptor)
+        fcntl.flock(descriptor, fcntl.LOCK_SH)  # as another process that looks
+        assert not files.locked(tmp_path)
+    with files.exclusive(tmp_path):
+        assert files.locked(tmp_path)
 
 
 def test_a_flipped_bit_anywhere_in_a_checked_object_is_refused_or_changes_nothing(tmp_path: Path) -> None:
@@ -66,9 +78,13 @@ def test_an_output_has_its_name_only_when_it_is_whole(tmp_path: Path) -> None:
         (folder / "meta").mkdir()
         (folder / "meta/info.json").write_text("{}")
         assert not (tmp_path / "out").exists()
+    (tmp_path / "empty").mkdir()
+    with chdir(tmp_path / "empty"), partial_output(Path()) as folder:
+        (folder / "a.b").write_text("")
     assert {each.relative_to(tmp_path).as_posix() for each in tmp_path.rglob("*.*")} == {
         "new/a.mcap",
         "out/meta/info.json",
+        "empty/a.b",
     }
 
 

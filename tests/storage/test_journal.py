@@ -14,7 +14,7 @@ from storage import journal
 from storage.append_log import LIMIT, AppendLog, LogReader
 from storage.journal import Buffer, Journal, NumberedRows, check_segment, decode
 from storage.layout import SEGMENTS, numbered_files
-from tests.storage.made import new_batch, same
+from tests.storage.made import new_batch, new_episodes, same
 
 
 @pytest.fixture
@@ -73,6 +73,15 @@ def test_a_batch_of_more_than_64_mib_is_appended_in_several_records(written: Jou
     found = [decode(record.data, str(path)) for record in LogReader(path).records()]
     assert (number, [each.first for each in found]) == (0, [7, 7 + len(found[0].batch)])
     same(concat(Touch, [each.batch for each in found]), batch)
+
+
+def test_a_code_without_a_name_and_a_row_without_a_cell_are_an_input_error() -> None:
+    unnamed = new_episodes((0, 9, "hold"))
+    unnamed.motion[:] = 9
+    for batch in (unnamed, Touch.zeros(1, 0)):
+        [record] = journal.encode([NumberedRows(0, batch)])
+        with pytest.raises(InputError, match="has an invalid record"):
+            decode(record, "a.wal")
 
 
 @given(records=st.lists(st.binary(max_size=80)), identity=st.none() | st.binary())

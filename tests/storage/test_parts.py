@@ -85,6 +85,7 @@ def test_other_columns_and_nulls_are_named_and_further_ones_ignored(rows: pa.Tab
         (rows.set_column(2, "counts", counts), "column 'counts' is fixed_size_list<.*double>"),
         (rows.set_column(0, time, rows["time"]), "column 'time' is in 'ms', must be in 'ns'"),
         (rows.set_column(2, column, holed), "column 'counts' has nulls"),
+        (rows.append_column(column, rows["counts"]), "has several columns 'counts'"),
     ):
         part = write(tmp_path, table)
         with pytest.raises(InputError, match=complaint):

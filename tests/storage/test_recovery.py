@@ -14,7 +14,7 @@ from operators.batch import Touch
 from operators.errors import EndpointError, InputError
 from storage import Session, files, recover, verify
 from storage.append_log import AppendLog
-from storage.journal import identity
+from storage.journal import NumberedRows, encode, identity
 from storage.layout import SEGMENTS, numbered_files
 from storage.parts import read_manifest, write_manifest
 from tests.storage.made import contents, flip, leave, new_run, rows, side_by_side, write
@@ -63,6 +63,13 @@ def test_a_recorder_killed_after_its_last_commit_has_lost_no_known_row(tmp_path:
     assert verify(tmp_path).worst == "repaired"
 
 
+def test_a_recorder_killed_before_its_first_row_is_repaired_once(tmp_path: Path) -> None:
+    folder = leave(tmp_path, new_run(), [])
+    assert recover(folder).changed
+    assert len(verify(folder).findings) == 1
+    assert not recover(folder).changed
+
+
 @pytest.mark.parametrize("journal", ["none", "damaged"])
 def test_an_unlisted_part_that_the_journal_may_not_have_is_kept_aside(left: Path, journal: str) -> None:
     if journal == "none":
@@ -80,6 +87,29 @@ def test_an_unlisted_part_that_the_journal_may_not_have_is_kept_aside(left: Path
     copyfile(left / "touch/part-000000.parquet", stray)
     recover(left)
     assert (left / "damaged/touch-part-000007.parquet.1").exists()
+
+
+@pytest.mark.parametrize("damage", ["missing", "flipped"])
+def test_a_listed_part_that_is_damaged_is_made_again_from_the_journal(left: Path, damage: str) -> None:
+    path = left / "motion/part-000001.parquet"
+    path.unlink() if damage == "missing" else flip(path, 200)
+    assert verify(left).worst == "lost"
+    done = recover(left)
+    assert (done.rows["motion"], done.lost) == (15, [])
+    assert "part-000001.parquet: " in done.done[0]
+    assert done.done[0].endswith("; the journal has its rows")
+    assert rows(left, BATCHES) == ALL
+    assert (left / "damaged/motion-part-000001.parquet").exists() == (damage == "flipped")
+    assert verify(left).worst == "repaired"
+
+
+def test_rows_of_a_damaged_part_that_the_journal_lacks_are_lost(left: Path) -> None:
+    flip(left / "touch/part-000001.parquet", 200)
+    path, last = numbered_files(left, SEGMENTS).values()
+    last.unlink()
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert recover(left).lost[-1] == "touch: 10 rows of damaged parts, after row 30"
+    assert verify(left).worst == "lost"
 
 
 @pytest.mark.parametrize("damage", ["missing", "flipped"])
@@ -102,13 +132,14 @@ def test_without_its_manifest_a_session_is_refused_reported_and_not_changed(left
 def test_damage_in_the_middle_ends_the_tables_there_and_the_segment_is_kept(left: Path) -> None:
     path = max(numbered_files(left, SEGMENTS).values())
     data = path.read_bytes()
-    (left / "touch/part-000009.parquet.tmp").write_text("half")
+    for name in ("touch/part-000009.parquet.tmp", "mine.tmp"):
+        (left / name).write_text("half")
     data = flip(path, data.rindex(b"SLIP", 0, data.rindex(b"SLIP")) + 20)  # in the last frame but one
     done = recover(left)
     assert "it is damaged" in done.lost[0]
     assert recovered(left)["cut"] == []
     assert (left / "damaged" / f"journal-{path.name}").read_bytes() == data
-    assert list(left.rglob("*.tmp")) == []
+    assert list(left.rglob("*.tmp")) == [left / "mine.tmp"]
     assert [20] * 4 <= rows(left, BATCHES) < ALL
     for _ in range(2):
         assert verify(left).worst == "lost"
@@ -136,6 +167,14 @@ def test_a_torn_end_of_an_older_segment_is_a_loss(left: Path) -> None:
     assert "the recorder was cut off there" in recover(left).lost[0]
     assert recovered(left)["cut"] == []
     assert verify(left).worst == "lost"
+
+
+def test_rows_of_another_number_of_cells_are_left_out_and_reported(left: Path) -> None:
+    log = AppendLog(
+        left / "journal/000003.wal", identity("one", 3), encode([NumberedRows(50, Touch.zeros(2, 9))])
+    )
+    log.close()
+    assert recover(left).lost == ["touch: 2 rows that do not follow row 50"]
 
 
 def test_rows_that_do_not_follow_are_left_out_and_reported(left: Path) -> None:

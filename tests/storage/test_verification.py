@@ -15,6 +15,10 @@ from storage.parts import read_manifest, write_manifest
 from tests.storage.made import new_run, side_by_side, two_sessions, write
 
 BATCHES = side_by_side(5)
+ENDLESS = (
+    '{"version": 2, "session": "one", "sinks": {}, "streams": {"touch": {"gaps": [{"start": 0, "end": %s}]}}}'
+)
+ENDLESS %= "9" * 4000
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +130,7 @@ def test_what_may_not_be_read_is_lost_and_the_check_goes_on(
 
 
 @pytest.mark.parametrize("name", ["dataset.json", "sessions/one/session.json"])
-@pytest.mark.parametrize("content", ["{", "[]", '{"version": "9"}', '{"version": 2, "sinks": [3]}'])
+@pytest.mark.parametrize("content", ["{", "[]", '{"version": "9"}', '{"version": 2, "sinks": [3]}', ENDLESS])
 def test_a_description_that_cannot_be_read_is_lost(dataset: Path, name: str, content: str) -> None:
     if name == "dataset.json" and "sinks" in content:
         content = "{}"

@@ -33,6 +33,9 @@ def test_a_crash_is_reported_repaired_and_noted(dataset: Path) -> None:
     assert "touch; what the recorder could not write before it was killed is unknown\n" in done.stdout
     assert len(Session.open(dataset / "sessions/crashed").frame("touch")) == 5
     assert slipflow("verify", dataset, "--repair").stdout == done.stdout.partition("\n")[2]
+    (dataset / "sessions/closed").rename(dataset / "sessions/\udcff\x1b\n")
+    assert "\\udcff\\x1b\\n: its session.json names session 'closed'" in slipflow("verify", dataset).stdout
+    (dataset / "sessions/\udcff\x1b\n").rename(dataset / "sessions/closed")
     done = slipflow("verify", ".", cwd=dataset / "sessions/closed")
     assert (done.returncode, "1 session, 1 file, 5 rows: all data is present" in done.stdout) == (0, True)
 

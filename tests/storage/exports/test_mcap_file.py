@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -129,13 +130,14 @@ def test_the_file_has_the_session_description_and_message_counts(tmp_path: Path)
     session = record(tmp_path, [new_batch(Touch, 30, start=s), new_batch(Motion, 20, start=2 * s)])
     session.write_hand_labels([LabelSpan(s, 2 * s, 0, "slip")], based_on=0)
     path = tmp_path / "one.mcap"
+    session = replace(session, about={**session.about, "host": "caf\udce9", "large": 2**70})
     export(session, path)
     statistics, (metadata, labels), chunks = summary(path)
     assert (statistics.message_count, statistics.channel_count, statistics.schema_count) == (50, 2, 2)
     assert (statistics.message_start_time, statistics.message_end_time) == (s, 2 * s + 190 * ms)
     assert metadata.name == "session"
     assert set(metadata.metadata) == set(session.about)
-    assert metadata.metadata["session"] == "one"
+    assert (metadata.metadata["session"], metadata.metadata["host"]) == ("one", "caf?")
     assert json.loads(metadata.metadata["sinks"]) == session.about["sinks"]
     assert (labels.name, labels.metadata["version"]) == ("hand_labels", "1")
     [span] = json.loads(labels.metadata["spans"])
