@@ -112,7 +112,8 @@ class Link:
         paho.on_disconnect, paho.on_socket_register_write = self._on_disconnect, self._watch_socket
         self._url = str(broker)
         self._loop = asyncio.get_running_loop()
-        self._answers: dict[int, asyncio.Future[ReasonCode | None]] = {}  # PUBACKs, by packet identifier
+        # by packet identifier: topic, and reason for the refusal in its PUBACK
+        self._answers: dict[int, tuple[str, asyncio.Future[str | None]]] = {}
         self._lost: asyncio.Future[str] = self._loop.create_future()  # reason
         self._changed = changed or asyncio.Event()
         self._received = deque[tuple[str, bytes]](maxlen=INCOMING_MAX)  # topic and payload
@@ -157,14 +158,10 @@ class Link:
         unanswered = (await asyncio.wait(answers, timeout=TIMEOUT))[1] if answers else ()
         if unanswered:
             self._lose(_reason(TimeoutError()))
-        refusals = list[str]()
-        for message, answer in zip(messages, answers, strict=True):
-            code = answer.result()
-            if code is None:
-                self.abort()
-                raise self._loss()
-            refused = f"refuses to publish {message.topic}: {_refusal(code)}"
-            refusals.append(refused if code.is_failure else "")
+        refusals = [reason for each in answers if (reason := each.result()) is not None]
+        if len(refusals) < len(messages):
+            self.abort()
+            raise self._loss()
         return refusals
 
     async def listen(self, *topics: str) -> None:
@@ -235,21 +232,21 @@ class Link:
         """Note that the connection is lost; no PUBACK will arrive."""
         if self.alive:
             self._lost.set_result(reason)
-        for answer in self._answers.values():
+        for _, answer in self._answers.values():
             if not answer.done():
                 answer.set_result(None)
         self._answers.clear()
         self._changed.set()
 
-    def publish(self, message: Message) -> "asyncio.Future[ReasonCode | None]":
-        """Publish a message; return the future answer of the broker, None if the connection is lost."""
-        answer: asyncio.Future[ReasonCode | None] = self._loop.create_future()
+    def publish(self, message: Message) -> "asyncio.Future[str | None]":
+        """Publish a message; return the future reason for its refusal, as `send_all`; None after a loss."""
+        answer: asyncio.Future[str | None] = self._loop.create_future()
         properties = None
         if message.content_type:
             properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
             properties.ContentType = message.content_type
         info = self._paho.publish(message.topic, message.payload, 1, message.retain, properties)
-        self._answers[info.mid] = answer
+        self._answers[info.mid] = message.topic, answer
         if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS or not self.alive:
             self._lose(_reason(aiomqtt.MqttCodeError(info.rc)))
         return answer
@@ -260,9 +257,9 @@ class Link:
         self._changed.set()
 
     def _on_publish(self, client: Paho, userdata: object, mid: int, code: ReasonCode, _: Properties) -> None:
-        answer = self._answers.pop(mid, None)
+        topic, answer = self._answers.pop(mid, ("", None))
         if answer and not answer.done():
-            answer.set_result(code)
+            answer.set_result(f"refuses to publish {topic}: {_refusal(code)}" if code.is_failure else "")
 
     def _on_disconnect(
         self,

@@ -81,10 +81,12 @@ class Consumer(AsyncIterator[Event]):
         self._link: Link | None = None
         self._pauses = Pauses()
         self._dropped = self._malformed = 0  # messages of this connection
+        self._refused = False  # a request of this connection
         self._check_due = 0.0  # loop time (s) of the next check of all rigs for gaps
         self._event: Event | None = None  # the event in progress, which the position does not have yet
         self._saving: BackgroundTask | None = None
         self._changed = False  # the position changed since it was saved
+        self._unsaved = ""  # why it could not be saved
 
     async def __aenter__(self) -> Self:
         """Load the position and connect.
@@ -199,8 +201,15 @@ class Consumer(AsyncIterator[Event]):
             return False
         topic = rig_topic("Consumer", *rig)
         payload = GapRequest(*gap, f"{topic}/replay/{self._reply_name}").encode()
-        link.publish(Message(f"{topic}/replay/request", payload, retain=False))
+        answer = link.publish(Message(f"{topic}/replay/request", payload, retain=False))
+        answer.add_done_callback(self._report_refusal)
         return True
+
+    def _report_refusal(self, answer: "asyncio.Future[str | None]") -> None:
+        """Report the first request of a connection that the broker refuses."""
+        if (reason := answer.result()) and not self._refused:
+            self._refused = True
+            self._report(f"{self._broker}: {reason}; missed events cannot be fetched")
 
     async def _reconnect(self) -> "Link":
         failures = 0
@@ -226,7 +235,7 @@ class Consumer(AsyncIterator[Event]):
             await link.disconnect()
             raise
         self._pauses.connected()
-        self._dropped, self._malformed, self._check_due = 0, 0, 0.0
+        self._dropped, self._malformed, self._refused, self._check_due = 0, 0, False, 0.0
         self._position.reconnected()
         return link
 
@@ -249,6 +258,9 @@ class Consumer(AsyncIterator[Event]):
             try:
                 await asyncio.to_thread(put, path, self._position.encode())
             except OSError as error:
-                self._changed = True
-                self._report(f"{path}: cannot be written: {os_error_reason(error)}")
+                self._changed, reason = True, os_error_reason(error)
+                if reason != self._unsaved:
+                    self._report(f"{path}: cannot be written: {reason}")
+                self._unsaved = reason
                 return  # the next check tries again
+            self._unsaved = ""

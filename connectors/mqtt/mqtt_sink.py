@@ -15,7 +15,7 @@ from connectors.mqtt.outbox_log import Entry
 from connectors.mqtt.rig_names import host_rig, outbox_path, rig_topic
 from connectors.mqtt.sender import Sender
 from operators.batch import Faults, Slips, ms
-from operators.checks import check_at_least, check_between
+from operators.checks import check_between, check_whole
 from operators.errors import ParameterError
 from operators.extras import software_version
 from operators.ports import Clock, Finding, Json, Run, Sink
@@ -70,8 +70,10 @@ class Mqtt(Sink[Slips | Faults]):
             raise ParameterError("Mqtt", "model", dict(self.model), must_be) from None
         if self.threshold is not None:
             check_between("Mqtt", "threshold", self.threshold, 0, 1)
+            self.threshold = float(self.threshold)  # of numpy, which is not JSON
         if self.consecutive is not None:
-            check_at_least("Mqtt", "consecutive", self.consecutive, 1)
+            check_whole("Mqtt", "consecutive", self.consecutive, 1)
+            self.consecutive = int(self.consecutive)
 
     @property
     def destination(self) -> str:
