@@ -35,9 +35,11 @@ WILL_DELAY = 2  # s; the will is not published if the client reconnects within t
 SESSION_EXPIRY = 10  # s; the broker publishes the will after this time at the latest
 PACKET_MAX = 128 * 1024  # bytes
 NOT_AUTHORIZED = 0x87  # MQTT 5.0, section 2.4
+UNANSWERED_MAX = 10  # messages in flight to the broker; the least that brokers accept by default
 INCOMING_MAX = 1000  # unread messages; beyond it, the oldest are dropped
 
 _REFUSAL: Final = 0.2  # s, from the end of a connection to the reason of its refusal
+_UNAUTHORIZED: Final = ("Not authorized", "Bad user name or password")
 _CLOSED = "the broker closed the connection"
 _UNREACHABLE = "check the address and the network"
 _EXTENSION = "Python 3.13 needs this extension: create the certificates again"
@@ -47,6 +49,7 @@ _HINTS = {  # by text of the error; the first that fits
     "mismatch, certificate is not valid for": "write the host as in the broker's certificate",
     "certificate has expired": "renew the broker's certificate, or set the clock of this machine",
     "certificate is not yet valid": "set the clock of this machine",
+    "Unsupported protocol version": "slipflow needs a broker of MQTT 5",
     "CERTIFICATE_VERIFY_FAILED": f"set {CA} to the file of the CA that signed its certificate",
     "Connection refused": "check that the broker runs and that this is its port",
     "Name or service not known": "check the host name",
@@ -103,6 +106,7 @@ class Link:
             tls_context=tls,
             timeout=TIMEOUT,
             keepalive=KEEPALIVE,
+            max_inflight_messages=UNANSWERED_MAX,
             socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
             logger=_paho_log,
         )
@@ -211,7 +215,7 @@ class Link:
     def _hint(self, error: Exception) -> str:
         """Return the likely remedy for a failed connection, empty if unknown."""
         text = str(error)
-        if isinstance(error, MqttConnectError):
+        if isinstance(error, MqttConnectError) and text.endswith(_UNAUTHORIZED):
             path, unset = os.environ.get(PASSWORD_FILE), "" if os.environ.get(USER) else ", which is not set,"
             return f"; check {USER}{unset} and {f'the password in {path}' if path else PASSWORD}"
         if hint := next((hint for part, hint in _HINTS.items() if part in text), ""):
