@@ -121,7 +121,7 @@ class Link:
         self._lost: asyncio.Future[str] = self._loop.create_future()  # reason
         self._changed = changed or asyncio.Event()
         self._received = deque[tuple[str, bytes]](maxlen=INCOMING_MAX)  # topic and payload
-        self.dropped = 0  # messages that were not read in time
+        self.dropped = 0  # messages that were not read in time; a reader that reports them sets it to 0
 
     @property
     def alive(self) -> bool:
@@ -236,10 +236,8 @@ class Link:
         """Note that the connection is lost; no PUBACK will arrive."""
         if self.alive:
             self._lost.set_result(reason)
-        for _, answer in self._answers.values():
-            if not answer.done():
-                answer.set_result(None)
-        self._answers.clear()
+        while self._answers:
+            self._answers.popitem()[1][1].set_result(None)
         self._changed.set()
 
     def publish(self, message: Message) -> "asyncio.Future[str | None]":
@@ -262,7 +260,7 @@ class Link:
 
     def _on_publish(self, client: Paho, userdata: object, mid: int, code: ReasonCode, _: Properties) -> None:
         topic, answer = self._answers.pop(mid, ("", None))
-        if answer and not answer.done():
+        if answer:
             answer.set_result(f"refuses to publish {topic}: {_refusal(code)}" if code.is_failure else "")
 
     def _on_disconnect(

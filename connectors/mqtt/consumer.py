@@ -70,7 +70,6 @@ class Consumer(AsyncIterator[Event]):
         since: Literal["now", "start"] = "now",
         report: Callable[[str], object] = log.warning,
     ) -> None:
-        """Prepare a connection to the broker at `url`, see `connectors.mqtt.broker.Broker`; `report` logs."""
         self._broker = Broker.parse(url, "Consumer")
         self._topic = rig_topic("Consumer", site, rig, wildcard="+")
         check_choice("Consumer", "since", since, ("now", "start"))
@@ -80,8 +79,7 @@ class Consumer(AsyncIterator[Event]):
         self._reply_name = f"consumer-{token_hex(6)}"  # last level of the topic for replies
         self._link: Link | None = None
         self._pauses = Pauses()
-        self._dropped = self._malformed = 0  # messages of this connection
-        self._refused = False  # a request of this connection
+        self._malformed, self._refused = 0, False  # messages and a request of this connection
         self._check_due = 0.0  # loop time (s) of the next check of all rigs for gaps
         self._event: Event | None = None  # the event in progress, which the position does not have yet
         self._saving: BackgroundTask | None = None
@@ -136,9 +134,9 @@ class Consumer(AsyncIterator[Event]):
                 self._report(f"{error}, reconnecting")
                 await self._disconnect()
                 continue
-            if link.dropped > self._dropped:
-                dropped, self._dropped = link.dropped - self._dropped, link.dropped
-                self._report(f"{self._broker}: the consumer is behind: {dropped} messages dropped")
+            if link.dropped:
+                self._report(f"{self._broker}: the consumer is behind: {link.dropped} messages dropped")
+                link.dropped = 0
             try:
                 rig, self._event = self._process(topic, payload)
             except InputError as error:
@@ -235,7 +233,7 @@ class Consumer(AsyncIterator[Event]):
             await link.disconnect()
             raise
         self._pauses.connected()
-        self._dropped, self._malformed, self._refused, self._check_due = 0, 0, False, 0.0
+        self._malformed, self._refused, self._check_due = 0, False, 0.0
         self._position.reconnected()
         return link
 
@@ -258,9 +256,8 @@ class Consumer(AsyncIterator[Event]):
             try:
                 await asyncio.to_thread(put, path, self._position.encode())
             except OSError as error:
-                self._changed, reason = True, os_error_reason(error)
-                if reason != self._unsaved:
-                    self._report(f"{path}: cannot be written: {reason}")
-                self._unsaved = reason
+                before, self._unsaved, self._changed = self._unsaved, os_error_reason(error), True
+                if self._unsaved != before:
+                    self._report(f"{path}: cannot be written: {self._unsaved}")
                 return  # the next check tries again
             self._unsaved = ""

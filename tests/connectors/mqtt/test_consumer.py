@@ -118,8 +118,8 @@ async def test_a_refused_request_for_missed_events_is_reported_once(tmp_path: Pa
             await following(events)
             await until(lambda: not inside(events, "_link", "_answers"))
     [report] = reports
-    refused = rf"{broker.url}: refuses to publish slip/v1/lab/ur\d+/replay/request: Not authorized; allow it in"
-    assert re.fullmatch(f"{refused} the broker's access list; missed events cannot be fetched", report)
+    refused = rf"{broker.url}: refuses to publish slip/v1/lab/ur\d+/replay/request: Not authorized; "
+    assert re.fullmatch(f"{refused}allow it in .*; missed events cannot be fetched", report)
 
 
 async def test_one_consumer_at_a_time_can_use_a_position_file(
