@@ -16,7 +16,7 @@ import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
 from aiomqtt.types import PahoSocket
 from paho.mqtt.client import Client as Paho
-from paho.mqtt.client import DisconnectFlags, MQTTMessage
+from paho.mqtt.client import MQTTMessage
 from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
@@ -116,8 +116,7 @@ class Link:
         paho.on_disconnect, paho.on_socket_register_write = self._on_disconnect, self._watch_socket
         self._url = str(broker)
         self._loop = asyncio.get_running_loop()
-        # by packet identifier: topic, and reason for the refusal in its PUBACK
-        self._answers: dict[int, tuple[str, asyncio.Future[str | None]]] = {}
+        self._answers: dict[int, tuple[str, asyncio.Future[str | None]]] = {}  # topic and PUBACK, by its id
         self._lost: asyncio.Future[str] = self._loop.create_future()  # reason
         self._changed = changed or asyncio.Event()
         self._received = deque[tuple[str, bytes]](maxlen=INCOMING_MAX)  # topic and payload
@@ -159,8 +158,7 @@ class Link:
         is lost, the broker may have received any of them.
         """
         answers = [self.publish(message) for message in messages]
-        unanswered = (await asyncio.wait(answers, timeout=TIMEOUT))[1] if answers else ()
-        if unanswered:
+        if answers and (await asyncio.wait(answers, timeout=TIMEOUT))[1]:
             self._lose(_reason(TimeoutError()))
         refusals = [reason for each in answers if (reason := each.result()) is not None]
         if len(refusals) < len(messages):
@@ -263,14 +261,7 @@ class Link:
         if answer:
             answer.set_result(f"refuses to publish {topic}: {_refusal(code)}" if code.is_failure else "")
 
-    def _on_disconnect(
-        self,
-        client: Paho,
-        userdata: object,
-        flags: DisconnectFlags,
-        code: ReasonCode,
-        properties: Properties | None,
-    ) -> None:
+    def _on_disconnect(self, client: Paho, data: object, flags: object, code: ReasonCode, _: object) -> None:
         self._lose(_reason(aiomqtt.MqttCodeError(code)))
 
     def _watch_socket(self, client: Paho, userdata: object, sock: PahoSocket) -> None:

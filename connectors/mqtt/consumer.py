@@ -7,7 +7,6 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack
 from pathlib import Path
 from secrets import token_hex
-from types import TracebackType
 from typing import TYPE_CHECKING, Literal, Self
 
 from connectors.documents import Document, decode
@@ -103,9 +102,7 @@ class Consumer(AsyncIterator[Event]):
             self._ends = ends.pop_all()
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         """Disconnect; the next run delivers an event in progress again."""
         try:
             self._save_position()
@@ -210,14 +207,15 @@ class Consumer(AsyncIterator[Event]):
             self._report(f"{self._broker}: {reason}; missed events cannot be fetched")
 
     async def _reconnect(self) -> "Link":
-        failures = 0
+        failure = ""
         while self._link is None:
             await self._pauses.wait()
             try:
                 self._link = await self._connect()
             except SlipflowError as error:
-                failures += 1
-                (self._report if failures == 1 else log.debug)(f"{error}, reconnecting")
+                if failure != str(error):
+                    self._report(f"{error}, reconnecting")
+                failure = str(error)
             else:
                 self._report(f"{self._broker}: connected again")
         return self._link

@@ -63,8 +63,7 @@ class Mqtt(Sink[Slips | Faults]):
         self._topic = rig_topic("Mqtt", self.site, self.rig)
         self._path = outbox_path(self.site, self.rig) if self.outbox is None else Path(self.outbox)
         try:
-            stated = Model(**{"id": "unknown", **self.model})  # which has no other keys
-            self._model = msgspec.convert(stated.values(), Model)
+            self._model = msgspec.convert(Model(**{"id": "unknown", **self.model}).values(), Model)
         except (TypeError, ValueError):
             must_be = "a mapping with a printable id and a sha256 of 64 digits 0-9 a-f"
             raise ParameterError("Mqtt", "model", dict(self.model), must_be) from None

@@ -3,6 +3,7 @@ import re
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
@@ -120,6 +121,26 @@ async def test_a_refused_request_for_missed_events_is_reported_once(tmp_path: Pa
     [report] = reports
     refused = rf"{broker.url}: refuses to publish slip/v1/lab/ur\d+/replay/request: Not authorized; "
     assert re.fullmatch(f"{refused}allow it in .*; missed events cannot be fetched", report)
+
+
+async def test_each_new_reason_why_a_consumer_cannot_reconnect_is_reported(
+    broker: TestBroker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reports, failures, connect = list[str](), ["refused", "refused", "certificate has expired"], link.connect
+
+    async def fail(*about: Any) -> Link:
+        if failures:
+            raise EndpointError(broker.url, failures.pop(0))
+        return await connect(*about)
+
+    async with Consumer(broker.url, report=reports.append) as events:
+        monkeypatch.setattr(link, "connect", fail)
+        inside(events, "_link").abort()
+        publish(broker, 1, "ur10", "-r")
+        assert await take(events, 1) == [1]
+    lost, *others = [each.removeprefix(f"{broker.url}: ") for each in reports]
+    assert lost.startswith("connection lost")
+    assert others == ["refused, reconnecting", "certificate has expired, reconnecting", "connected again"]
 
 
 async def test_one_consumer_at_a_time_can_use_a_position_file(

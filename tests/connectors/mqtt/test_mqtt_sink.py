@@ -47,7 +47,7 @@ async def sent(sink: Mqtt) -> None:
 
 async def test_events_arrive_in_order(broker: TestBroker, run: Run) -> None:
     listener = broker.listen(f"{RIG}/+/event")
-    rule = {"threshold": np.float64(0.5), "consecutive": np.int64(2)}  # as of a study
+    rule: Any = {"threshold": np.float64(0.5), "consecutive": np.int64(2)}  # as of a study
     sink = Mqtt(broker.url, rig="rig", model={"id": "tcn", "sha256": "0f" * 32}, **rule)
     async with opened(sink, run):
         await sink.write(slips(1, 0))
