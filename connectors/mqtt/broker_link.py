@@ -39,7 +39,6 @@ UNANSWERED_MAX = 10  # messages in flight to the broker; the least that brokers 
 INCOMING_MAX = 1000  # unread messages; beyond it, the oldest are dropped
 
 _REFUSAL: Final = 0.2  # s, from the end of a connection to the reason of its refusal
-_UNAUTHORIZED: Final = ("Not authorized", "Bad user name or password")
 _CLOSED = "the broker closed the connection"
 _UNREACHABLE = "check the address and the network"
 _EXTENSION = "Python 3.13 needs this extension: create the certificates again"
@@ -158,8 +157,9 @@ class Link:
         is lost, the broker may have received any of them.
         """
         answers = [self.publish(message) for message in messages]
-        if answers and (await asyncio.wait(answers, timeout=TIMEOUT))[1]:
-            self._lose(_reason(TimeoutError()))
+        for first in range(0, len(answers), UNANSWERED_MAX):
+            if (await asyncio.wait(answers[first : first + UNANSWERED_MAX], timeout=TIMEOUT))[1]:
+                self._lose(_reason(TimeoutError()))
         refusals = [reason for each in answers if (reason := each.result()) is not None]
         if len(refusals) < len(messages):
             self.abort()
@@ -213,7 +213,7 @@ class Link:
     def _hint(self, error: Exception) -> str:
         """Return the likely remedy for a failed connection, empty if unknown."""
         text = str(error)
-        if isinstance(error, MqttConnectError) and text.endswith(_UNAUTHORIZED):
+        if isinstance(error, MqttConnectError) and text.endswith(("Not authorized", "user name or password")):
             path, unset = os.environ.get(PASSWORD_FILE), "" if os.environ.get(USER) else ", which is not set,"
             return f"; check {USER}{unset} and {f'the password in {path}' if path else PASSWORD}"
         if hint := next((hint for part, hint in _HINTS.items() if part in text), ""):

@@ -14,7 +14,7 @@ from connectors.mqtt.broker_link import connect
 from operators.errors import EndpointError
 from tests.connectors.mqtt.broker_process import TestBroker, deliver
 from tests.inside import inside
-from tests.waiting import PATIENCE, until
+from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
@@ -130,26 +130,31 @@ async def test_a_lost_acknowledgement_times_out(broker: TestBroker, monkeypatch:
     await link.disconnect()
 
 
-async def test_at_most_10_messages_await_an_answer() -> None:
-    arrived, ended = list[bytes](), asyncio.Event()
+async def test_at_most_10_messages_await_an_answer_which_may_take_its_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    unanswered = [0]
 
-    async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        def acknowledge(publish: bytes) -> None:
+            unanswered.append(unanswered[-1] - 1)
+            writer.write(b"\x40\x02" + publish[5:7])  # PUBACK
+
         await reader.read(1000)
         writer.write(b"\x20\x06\x00\x00\x03\x21\x00\x0a")  # CONNACK with a Receive Maximum of 10
         with suppress(asyncio.IncompleteReadError):
             while True:
-                arrived.append(await reader.readexactly(9))  # PUBLISH
-        ended.set()
+                publish = await reader.readexactly(9)
+                unanswered.append(unanswered[-1] + 1)
+                asyncio.get_running_loop().call_later(0.3, acknowledge, publish)
         writer.close()
 
-    async with await asyncio.start_server(accept, "127.0.0.1", 0) as serving:
+    monkeypatch.setattr(module, "TIMEOUT", 0.5)
+    async with await asyncio.start_server(answer, "127.0.0.1", 0) as serving:
         link = await connect(Broker("mqtt", "127.0.0.1", serving.sockets[0].getsockname()[1]), "test")
-        for _ in range(30):
-            link.publish(Message("a", b"x"))
-        await until(lambda: len(arrived) >= 10)
+        assert await link.send_all([Message("a", b"x")] * 30) == [""] * 30
         link.abort()
-        await ended.wait()
-    assert len(arrived) == 10
+    assert max(unanswered) == 10
 
 
 async def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:

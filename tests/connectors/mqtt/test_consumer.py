@@ -135,12 +135,10 @@ async def test_each_new_reason_why_a_consumer_cannot_reconnect_is_reported(
 
     async with Consumer(broker.url, report=reports.append) as events:
         monkeypatch.setattr(link, "connect", fail)
-        inside(events, "_link").abort()
-        publish(broker, 1, "ur10", "-r")
-        assert await take(events, 1) == [1]
-    lost, *others = [each.removeprefix(f"{broker.url}: ") for each in reports]
-    assert lost.startswith("connection lost")
-    assert others == ["refused, reconnecting", "certificate has expired, reconnecting", "connected again"]
+        await vars(Consumer)["_disconnect"](events)
+        await vars(Consumer)["_reconnect"](events)
+    expected = "refused, reconnecting", "certificate has expired, reconnecting", "connected again"
+    assert reports == [f"{broker.url}: {each}" for each in expected]
 
 
 async def test_one_consumer_at_a_time_can_use_a_position_file(
