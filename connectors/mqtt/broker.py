@@ -89,7 +89,7 @@ class Broker:
         for name, text in (USER, user or ""), (path or PASSWORD, password or ""):
             sent = text.encode(errors="ignore")
             if sent.decode() != text or len(sent) > TEXT_MAX:
-                raise InputError(name, f"must be UTF-8 text of at most {TEXT_MAX} bytes")
+                raise InputError(name, f"must be a user or password of at most {TEXT_MAX} bytes in UTF-8")
         return user, password
 
     def tls(self) -> ssl.SSLContext:

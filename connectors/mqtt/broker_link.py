@@ -35,7 +35,7 @@ WILL_DELAY = 2  # s; the will is not published if the client reconnects within t
 SESSION_EXPIRY = 10  # s; the broker publishes the will after this time at the latest
 PACKET_MAX = 128 * 1024  # bytes
 NOT_AUTHORIZED = 0x87  # MQTT 5.0, section 2.4
-UNANSWERED_MAX = 10  # messages in flight to the broker; the least that brokers accept by default
+UNANSWERED_MAX = 10  # messages; the smallest Receive Maximum that brokers have by default
 INCOMING_MAX = 1000  # unread messages; beyond it, the oldest are dropped
 
 _REFUSAL: Final = 0.2  # s, from the end of a connection to the reason of its refusal

@@ -53,7 +53,9 @@ def test_the_password_comes_from_the_environment_or_a_file(
     for user, path, named in (("rig", "password", "password"), ("\udcff", "", USER)):
         monkeypatch.setenv(USER, user)
         monkeypatch.setenv(PASSWORD_FILE, str(tmp_path / path) if path else "")
-        with pytest.raises(InputError, match=f"{named}: must be UTF-8 text of at most 65535 bytes"):
+        with pytest.raises(
+            InputError, match=f"{named}: must be a user or password of at most 65535 bytes in UTF-8"
+        ):
             broker.login()
 
 
