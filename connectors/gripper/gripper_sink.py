@@ -37,10 +37,9 @@ ACTIVATION: Final = 30.0  # s, longest time until the gripper is ready
 POLL: Final = 0.1  # s between two status requests
 RETRY: Final = 1.0  # s between attempts to reconnect
 TIMEOUT: Final = 1.0  # s for the connection, each answer, and the newest command at the end
-_DEVICE_FAILURE: Final = 0x04
 _REFUSALS: Final = {
     0x02: "unknown registers: is it a 3-finger gripper?",
-    _DEVICE_FAILURE: "device failure",
+    0x04: "device failure",
     0x06: "device busy",
     0x0A: "the gateway has no route to the device",
     0x0B: "no device answers: is this its unit?",
@@ -278,8 +277,7 @@ class Gripper(Sink[Commands]):
         finally:
             answering.cancel()
         if answer.isError():
-            code = getattr(answer, "exception_code", _DEVICE_FAILURE)
-            reason = _REFUSALS.get(code, f"Modbus exception {code}")
+            reason = _REFUSALS.get(answer.exception_code, f"Modbus exception {answer.exception_code}")
             raise EndpointError(self.destination, f"refuses: {reason}")
         await asyncio.sleep(PACE)
         return answer

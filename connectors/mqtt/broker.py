@@ -17,6 +17,7 @@ PASSWORD = "SLIPFLOW_MQTT_PASSWORD"  # noqa: S105 - the variable's name
 PASSWORD_FILE = "SLIPFLOW_MQTT_PASSWORD_FILE"  # noqa: S105 - the variable's name
 CA = "SLIPFLOW_MQTT_CA"
 CERTIFICATE = "SLIPFLOW_MQTT_CERTIFICATE"
+TEXT_MAX = 2**16 - 1  # bytes of a user or password in MQTT
 LASTING = 10.0  # s; a connection that ends sooner is brief
 BRIEF_PAUSE = 1.0  # s, at least, after a brief connection
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
@@ -76,16 +77,20 @@ class Broker:
         """Return user and password, each None if not set.
 
         Raises:
-            InputError: if the password file cannot be read.
+            InputError: if the password file cannot be read, or MQTT cannot send one of them.
         """
-        password = os.environ.get(PASSWORD)
+        user, password = os.environ.get(USER), os.environ.get(PASSWORD)
         if path := os.environ.get(PASSWORD_FILE):
             try:
                 password = Path(path).read_text(encoding="utf-8").rstrip("\r\n")
             except (OSError, UnicodeError) as error:
                 why = os_error_reason(error) if isinstance(error, OSError) else "is not UTF-8 text"
                 raise InputError(path, f"cannot read the password ({PASSWORD_FILE}): {why}") from None
-        return os.environ.get(USER), password
+        for name, text in (USER, user or ""), (path or PASSWORD, password or ""):
+            sent = text.encode(errors="ignore")
+            if sent.decode() != text or len(sent) > TEXT_MAX:
+                raise InputError(name, f"must be a user or password of at most {TEXT_MAX} bytes in UTF-8")
+        return user, password
 
     def tls(self) -> ssl.SSLContext:
         """Return the TLS context with the trusted certificate authorities and the client certificate.

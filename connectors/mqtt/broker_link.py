@@ -16,7 +16,7 @@ import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
 from aiomqtt.types import PahoSocket
 from paho.mqtt.client import Client as Paho
-from paho.mqtt.client import DisconnectFlags, MQTTMessage
+from paho.mqtt.client import MQTTMessage
 from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
@@ -35,6 +35,7 @@ WILL_DELAY = 2  # s; the will is not published if the client reconnects within t
 SESSION_EXPIRY = 10  # s; the broker publishes the will after this time at the latest
 PACKET_MAX = 128 * 1024  # bytes
 NOT_AUTHORIZED = 0x87  # MQTT 5.0, section 2.4
+UNANSWERED_MAX = 10  # messages; the smallest Receive Maximum that brokers have by default
 INCOMING_MAX = 1000  # unread messages; beyond it, the oldest are dropped
 
 _REFUSAL: Final = 0.2  # s, from the end of a connection to the reason of its refusal
@@ -47,6 +48,7 @@ _HINTS = {  # by text of the error; the first that fits
     "mismatch, certificate is not valid for": "write the host as in the broker's certificate",
     "certificate has expired": "renew the broker's certificate, or set the clock of this machine",
     "certificate is not yet valid": "set the clock of this machine",
+    "Unsupported protocol version": "slipflow needs a broker of MQTT 5",
     "CERTIFICATE_VERIFY_FAILED": f"set {CA} to the file of the CA that signed its certificate",
     "Connection refused": "check that the broker runs and that this is its port",
     "Name or service not known": "check the host name",
@@ -103,6 +105,7 @@ class Link:
             tls_context=tls,
             timeout=TIMEOUT,
             keepalive=KEEPALIVE,
+            max_inflight_messages=UNANSWERED_MAX,
             socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
             logger=_paho_log,
         )
@@ -112,11 +115,11 @@ class Link:
         paho.on_disconnect, paho.on_socket_register_write = self._on_disconnect, self._watch_socket
         self._url = str(broker)
         self._loop = asyncio.get_running_loop()
-        self._answers: dict[int, asyncio.Future[ReasonCode | None]] = {}  # PUBACKs, by packet identifier
+        self._answers: dict[int, tuple[str, asyncio.Future[str | None]]] = {}  # topic and PUBACK, by its id
         self._lost: asyncio.Future[str] = self._loop.create_future()  # reason
         self._changed = changed or asyncio.Event()
         self._received = deque[tuple[str, bytes]](maxlen=INCOMING_MAX)  # topic and payload
-        self.dropped = 0  # messages that were not read in time
+        self.dropped = 0  # messages that were not read in time; a reader that reports them sets it to 0
 
     @property
     def alive(self) -> bool:
@@ -154,17 +157,13 @@ class Link:
         is lost, the broker may have received any of them.
         """
         answers = [self.publish(message) for message in messages]
-        unanswered = (await asyncio.wait(answers, timeout=TIMEOUT))[1] if answers else ()
-        if unanswered:
-            self._lose(_reason(TimeoutError()))
-        refusals = list[str]()
-        for message, answer in zip(messages, answers, strict=True):
-            code = answer.result()
-            if code is None:
-                self.abort()
-                raise self._loss()
-            refused = f"refuses to publish {message.topic}: {_refusal(code)}"
-            refusals.append(refused if code.is_failure else "")
+        for first in range(0, len(answers), UNANSWERED_MAX):
+            if (await asyncio.wait(answers[first : first + UNANSWERED_MAX], timeout=TIMEOUT))[1]:
+                self._lose(_reason(TimeoutError()))
+        refusals = [reason for each in answers if (reason := each.result()) is not None]
+        if len(refusals) < len(messages):
+            self.abort()
+            raise self._loss()
         return refusals
 
     async def listen(self, *topics: str) -> None:
@@ -214,7 +213,7 @@ class Link:
     def _hint(self, error: Exception) -> str:
         """Return the likely remedy for a failed connection, empty if unknown."""
         text = str(error)
-        if isinstance(error, MqttConnectError):
+        if isinstance(error, MqttConnectError) and text.endswith(("Not authorized", "user name or password")):
             path, unset = os.environ.get(PASSWORD_FILE), "" if os.environ.get(USER) else ", which is not set,"
             return f"; check {USER}{unset} and {f'the password in {path}' if path else PASSWORD}"
         if hint := next((hint for part, hint in _HINTS.items() if part in text), ""):
@@ -235,21 +234,19 @@ class Link:
         """Note that the connection is lost; no PUBACK will arrive."""
         if self.alive:
             self._lost.set_result(reason)
-        for answer in self._answers.values():
-            if not answer.done():
-                answer.set_result(None)
-        self._answers.clear()
+        while self._answers:
+            self._answers.popitem()[1][1].set_result(None)
         self._changed.set()
 
-    def publish(self, message: Message) -> "asyncio.Future[ReasonCode | None]":
-        """Publish a message; return the future answer of the broker, None if the connection is lost."""
-        answer: asyncio.Future[ReasonCode | None] = self._loop.create_future()
+    def publish(self, message: Message) -> "asyncio.Future[str | None]":
+        """Publish a message; return the future reason for its refusal, as `send_all`; None after a loss."""
+        answer: asyncio.Future[str | None] = self._loop.create_future()
         properties = None
         if message.content_type:
             properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
             properties.ContentType = message.content_type
         info = self._paho.publish(message.topic, message.payload, 1, message.retain, properties)
-        self._answers[info.mid] = answer
+        self._answers[info.mid] = message.topic, answer
         if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS or not self.alive:
             self._lose(_reason(aiomqtt.MqttCodeError(info.rc)))
         return answer
@@ -260,18 +257,11 @@ class Link:
         self._changed.set()
 
     def _on_publish(self, client: Paho, userdata: object, mid: int, code: ReasonCode, _: Properties) -> None:
-        answer = self._answers.pop(mid, None)
-        if answer and not answer.done():
-            answer.set_result(code)
+        topic, answer = self._answers.pop(mid, ("", None))
+        if answer:
+            answer.set_result(f"refuses to publish {topic}: {_refusal(code)}" if code.is_failure else "")
 
-    def _on_disconnect(
-        self,
-        client: Paho,
-        userdata: object,
-        flags: DisconnectFlags,
-        code: ReasonCode,
-        properties: Properties | None,
-    ) -> None:
+    def _on_disconnect(self, client: Paho, data: object, flags: object, code: ReasonCode, _: object) -> None:
         self._lose(_reason(aiomqtt.MqttCodeError(code)))
 
     def _watch_socket(self, client: Paho, userdata: object, sock: PahoSocket) -> None:

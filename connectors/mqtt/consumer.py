@@ -7,7 +7,6 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack
 from pathlib import Path
 from secrets import token_hex
-from types import TracebackType
 from typing import TYPE_CHECKING, Literal, Self
 
 from connectors.documents import Document, decode
@@ -70,7 +69,6 @@ class Consumer(AsyncIterator[Event]):
         since: Literal["now", "start"] = "now",
         report: Callable[[str], object] = log.warning,
     ) -> None:
-        """Prepare a connection to the broker at `url`, see `connectors.mqtt.broker.Broker`; `report` logs."""
         self._broker = Broker.parse(url, "Consumer")
         self._topic = rig_topic("Consumer", site, rig, wildcard="+")
         check_choice("Consumer", "since", since, ("now", "start"))
@@ -80,11 +78,12 @@ class Consumer(AsyncIterator[Event]):
         self._reply_name = f"consumer-{token_hex(6)}"  # last level of the topic for replies
         self._link: Link | None = None
         self._pauses = Pauses()
-        self._dropped = self._malformed = 0  # messages of this connection
+        self._malformed, self._refused = 0, False  # messages and a request of this connection
         self._check_due = 0.0  # loop time (s) of the next check of all rigs for gaps
         self._event: Event | None = None  # the event in progress, which the position does not have yet
         self._saving: BackgroundTask | None = None
         self._changed = False  # the position changed since it was saved
+        self._unsaved = ""  # why it could not be saved
 
     async def __aenter__(self) -> Self:
         """Load the position and connect.
@@ -103,9 +102,7 @@ class Consumer(AsyncIterator[Event]):
             self._ends = ends.pop_all()
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         """Disconnect; the next run delivers an event in progress again."""
         try:
             self._save_position()
@@ -134,9 +131,9 @@ class Consumer(AsyncIterator[Event]):
                 self._report(f"{error}, reconnecting")
                 await self._disconnect()
                 continue
-            if link.dropped > self._dropped:
-                dropped, self._dropped = link.dropped - self._dropped, link.dropped
-                self._report(f"{self._broker}: the consumer is behind: {dropped} messages dropped")
+            if link.dropped:
+                self._report(f"{self._broker}: the consumer is behind: {link.dropped} messages dropped")
+                link.dropped = 0
             try:
                 rig, self._event = self._process(topic, payload)
             except InputError as error:
@@ -199,18 +196,26 @@ class Consumer(AsyncIterator[Event]):
             return False
         topic = rig_topic("Consumer", *rig)
         payload = GapRequest(*gap, f"{topic}/replay/{self._reply_name}").encode()
-        link.publish(Message(f"{topic}/replay/request", payload, retain=False))
+        answer = link.publish(Message(f"{topic}/replay/request", payload, retain=False))
+        answer.add_done_callback(self._report_refusal)
         return True
 
+    def _report_refusal(self, answer: "asyncio.Future[str | None]") -> None:
+        """Report the first request of a connection that the broker refuses."""
+        if (reason := answer.result()) and not self._refused:
+            self._refused = True
+            self._report(f"{self._broker}: {reason}; missed events cannot be fetched")
+
     async def _reconnect(self) -> "Link":
-        failures = 0
+        failure = ""
         while self._link is None:
             await self._pauses.wait()
             try:
                 self._link = await self._connect()
             except SlipflowError as error:
-                failures += 1
-                (self._report if failures == 1 else log.debug)(f"{error}, reconnecting")
+                if failure != str(error):
+                    self._report(f"{error}, reconnecting")
+                failure = str(error)
             else:
                 self._report(f"{self._broker}: connected again")
         return self._link
@@ -226,7 +231,7 @@ class Consumer(AsyncIterator[Event]):
             await link.disconnect()
             raise
         self._pauses.connected()
-        self._dropped, self._malformed, self._check_due = 0, 0, 0.0
+        self._malformed, self._refused, self._check_due = 0, False, 0.0
         self._position.reconnected()
         return link
 
@@ -249,6 +254,8 @@ class Consumer(AsyncIterator[Event]):
             try:
                 await asyncio.to_thread(put, path, self._position.encode())
             except OSError as error:
-                self._changed = True
-                self._report(f"{path}: cannot be written: {os_error_reason(error)}")
+                before, self._unsaved, self._changed = self._unsaved, os_error_reason(error), True
+                if self._unsaved != before:
+                    self._report(f"{path}: cannot be written: {self._unsaved}")
                 return  # the next check tries again
+            self._unsaved = ""

@@ -70,7 +70,6 @@ class GapAnswer(_Numbers, frozen=True):
     missing: tuple[tuple[Number, Number], ...]
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         super().__post_init__()
         if any(not self.first <= low <= high <= self.last for low, high in self.missing):
             raise ValueError(f"`missing` exceeds the range {self.first} to {self.last}")

@@ -15,7 +15,7 @@ from connectors.mqtt.outbox_log import Entry
 from connectors.mqtt.rig_names import host_rig, outbox_path, rig_topic
 from connectors.mqtt.sender import Sender
 from operators.batch import Faults, Slips, ms
-from operators.checks import check_at_least, check_between
+from operators.checks import check_between, check_whole
 from operators.errors import ParameterError
 from operators.extras import software_version
 from operators.ports import Clock, Finding, Json, Run, Sink
@@ -63,15 +63,16 @@ class Mqtt(Sink[Slips | Faults]):
         self._topic = rig_topic("Mqtt", self.site, self.rig)
         self._path = outbox_path(self.site, self.rig) if self.outbox is None else Path(self.outbox)
         try:
-            stated = Model(**{"id": "unknown", **self.model})  # which has no other keys
-            self._model = msgspec.convert(stated.values(), Model)
+            self._model = msgspec.convert(Model(**{"id": "unknown", **self.model}).values(), Model)
         except (TypeError, ValueError):
             must_be = "a mapping with a printable id and a sha256 of 64 digits 0-9 a-f"
             raise ParameterError("Mqtt", "model", dict(self.model), must_be) from None
         if self.threshold is not None:
             check_between("Mqtt", "threshold", self.threshold, 0, 1)
+            self.threshold = float(self.threshold)  # of numpy, which is not JSON
         if self.consecutive is not None:
-            check_at_least("Mqtt", "consecutive", self.consecutive, 1)
+            check_whole("Mqtt", "consecutive", self.consecutive, 1)
+            self.consecutive = int(self.consecutive)
 
     @property
     def destination(self) -> str:

@@ -231,9 +231,10 @@ class Position:
 
     def _forget(self, rig: _Rig) -> list[str]:
         """Forget epochs of a rig, and rigs, if there are too many; report the rigs that have delivered."""
-        while len(rig.epochs) > EPOCHS_MAX:
-            silent = (name for name, epoch in rig.epochs.items() if not epoch.delivered)
-            del rig.epochs[next(silent, next(iter(rig.epochs)))]
+        if len(rig.epochs) > EPOCHS_MAX:  # one that is announced again would be fetched from its first event
+            worth = sorted(rig.epochs, key=lambda each: (rig.epochs[each].delivered, each in rig.announced))
+            for each in worth[:-EPOCHS_MAX]:
+                del rig.epochs[each]
         size, forgotten = sum(each.size for each in self._rigs.values()), list[str]()
         while size > SIZE_MAX:
             unheard = (each for each, known in self._rigs.items() if not known.delivered)

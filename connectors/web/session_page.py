@@ -236,8 +236,8 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
                 LabelSpan(
                     **{
                         **each,
-                        "begin": self.start + round(each["begin"] * ms),
-                        "end": self.start + round(each["end"] * ms),
+                        "begin": self.start + round(float(each["begin"]) * ms),
+                        "end": self.start + round(float(each["end"]) * ms),
                         "finger": EVERY if each["finger"] == finger_name(EVERY) else int(each["finger"]),
                         "created": int(each["created"] or now),
                     }

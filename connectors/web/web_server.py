@@ -92,8 +92,7 @@ class WebServer:
             self._listener = await self._listen()
         except OSError as error:
             await self._runner.cleanup()
-            number = error.errno or 0
-            # negative: name resolution
+            number = error.errno or 0  # negative: name resolution
             reason = os.strerror(number) if number > 0 else error.strerror or error
             remedy = _REMEDIES.get(number, "choose an address of this machine")
             text = f"cannot serve {self._name}: {reason}; {remedy}"

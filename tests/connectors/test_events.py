@@ -81,13 +81,6 @@ def test_every_event_satisfies_the_schema_and_is_read_back_the_same(event: Event
     assert Event.decode(payload) == event
 
 
-@pytest.mark.parametrize("number", [float("nan"), float("inf"), float("-inf")])
-def test_nan_and_infinity_become_null(number: float) -> None:
-    payload = replace(EVENT, probability=number).encode()
-    assert is_valid(payload)
-    assert Event.decode(payload).probability is None
-
-
 @pytest.mark.parametrize(
     ("kinds", "probability", "quality", "reason"),
     [

@@ -180,6 +180,7 @@ def test_certificates_are_made_once_and_a_later_call_adds_a_user(tmp_path: Path)
         (("mqtts://broker",), "'mqtts://broker': use letters"),
         (("other",), "broker.crt is not for other"),
         (("10.0.0.1",), "broker.crt is not for 10.0.0.1"),
+        (("10.0.0.300",), "broker.crt is not for 10.0.0.300"),
         (("broker", "x" * 65), "maxsize=64"),
     ],
 )

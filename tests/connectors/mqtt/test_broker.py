@@ -49,6 +49,14 @@ def test_the_password_comes_from_the_environment_or_a_file(
     monkeypatch.setenv(PASSWORD_FILE, str(tmp_path / "absent"))
     with pytest.raises(InputError, match=r"absent: .*SLIPFLOW_MQTT_PASSWORD_FILE"):
         broker.login()
+    (tmp_path / "password").write_text("x" * 2**16)
+    for user, path, named in (("rig", "password", "password"), ("\udcff", "", USER)):
+        monkeypatch.setenv(USER, user)
+        monkeypatch.setenv(PASSWORD_FILE, str(tmp_path / path) if path else "")
+        with pytest.raises(
+            InputError, match=f"{named}: must be a user or password of at most 65535 bytes in UTF-8"
+        ):
+            broker.login()
 
 
 def test_unreadable_ca_certificates_are_an_error_that_names_the_variable(

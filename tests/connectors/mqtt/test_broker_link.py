@@ -2,7 +2,7 @@ import asyncio
 import signal
 import threading
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -30,12 +30,15 @@ async def use(broker: Broker | str, *topics: str) -> None:
 
 
 @asynccontextmanager
-async def server(kind: str) -> AsyncGenerator[str]:
-    """Host and port of a server that is absent, silent, or hangs up."""
+async def server(kind: str | bytes) -> AsyncGenerator[str]:
+    """Host and port of a server that is absent, silent, answers, or hangs up."""
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if kind == "silent":
             await reader.read()
+        elif isinstance(kind, bytes):
+            await reader.read(1000)
+            writer.write(kind)
         writer.close()
 
     serving = await asyncio.start_server(serve, "127.0.0.1", 0)
@@ -53,10 +56,12 @@ async def server(kind: str) -> AsyncGenerator[str]:
         ("mqtt", "silent", r"no response within 0\.1 s; check the address and the network"),
         ("mqtts", "silent", r"(.*timed out|no response within 0\.1 s); check the address and the network"),
         ("mqtt", "hangs up", "the broker closed the connection; if it uses TLS, write mqtts://"),
+        ("mqtt", b"\x20\x02\x00\x01", "Unsupported protocol version; slipflow needs a broker of MQTT 5"),
+        ("mqtt", b"\x20\x03\x00\x9b\x00", "QoS not supported"),
     ],
 )
 async def test_a_failed_connection_is_one_line_with_a_remedy(
-    monkeypatch: pytest.MonkeyPatch, scheme: str, kind: str, reason: str
+    monkeypatch: pytest.MonkeyPatch, scheme: str, kind: str | bytes, reason: str
 ) -> None:
     if kind == "silent":
         monkeypatch.setattr(module, "TIMEOUT", 0.1)
@@ -123,6 +128,30 @@ async def test_a_lost_acknowledgement_times_out(broker: TestBroker, monkeypatch:
         await deliver(link, "a")
     assert not link.alive
     await link.disconnect()
+
+
+async def test_at_most_10_messages_await_an_answer_which_may_take_its_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    early = list[bytes]()
+
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read(1000)
+        writer.write(b"\x20\x06\x00\x00\x03\x21\x00\x0a")  # CONNACK with a Receive Maximum of 10
+        for _ in range(3):
+            publishes = [await reader.readexactly(9) for _ in range(10)]
+            with suppress(TimeoutError):
+                early.append(await asyncio.wait_for(reader.read(9), 0.3))
+            writer.writelines(b"\x40\x02" + each[5:7] for each in publishes)  # PUBACK
+        await reader.read()
+        writer.close()
+
+    monkeypatch.setattr(module, "TIMEOUT", 0.5)
+    async with await asyncio.start_server(answer, "127.0.0.1", 0) as serving:
+        link = await connect(Broker("mqtt", "127.0.0.1", serving.sockets[0].getsockname()[1]), "test")
+        assert await link.send_all([Message("a", b"x")] * 30) == [""] * 30
+        link.abort()
+    assert not early
 
 
 async def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:

@@ -3,6 +3,7 @@ import re
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
@@ -100,9 +101,44 @@ async def test_an_unwritable_position_is_named_and_written_later(broker: TestBro
         publish(broker, 2)
         assert await take(events, 2) == [1, 2]
         await until(lambda: bool(reports))
+        publish(broker, 3)
+        assert await take(events, 1) == [3]
+        await until(lambda: inside(events, "_saving").done)
         folder.mkdir()
     assert (folder / "position").exists()
-    assert set(reports) == {f"{folder}/position: cannot be written: No such file or directory"}
+    assert reports == [f"{folder}/position: cannot be written: No such file or directory"]
+
+
+async def test_a_refused_request_for_missed_events_is_reported_once(tmp_path: Path) -> None:
+    rights, reports = tmp_path / "rights", list[str]()
+    rights.write_text("topic read #\ntopic write slip/v1/+/+/head\n")
+    with TestBroker(tmp_path, "allow_anonymous true", f"acl_file {rights}") as broker:
+        for rig in ("ur10", "ur5"):
+            broker.publish(f"slip/v1/lab/{rig}/head", '{"epoch": "ab", "last_seq": 3}', "-r")
+        async with Consumer(broker.url, since="start", report=reports.append) as events:
+            await following(events)
+            await until(lambda: not inside(events, "_link", "_answers"))
+    [report] = reports
+    refused = rf"{broker.url}: refuses to publish slip/v1/lab/ur\d+/replay/request: Not authorized; "
+    assert re.fullmatch(f"{refused}allow it in .*; missed events cannot be fetched", report)
+
+
+async def test_each_new_reason_why_a_consumer_cannot_reconnect_is_reported(
+    broker: TestBroker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reports, failures, connect = list[str](), ["refused", "refused", "certificate has expired"], link.connect
+
+    async def fail(*about: Any) -> Link:
+        if failures:
+            raise EndpointError(broker.url, failures.pop(0))
+        return await connect(*about)
+
+    async with Consumer(broker.url, report=reports.append) as events:
+        monkeypatch.setattr(link, "connect", fail)
+        await vars(Consumer)["_disconnect"](events)
+        await vars(Consumer)["_reconnect"](events)
+    expected = "refused, reconnecting", "certificate has expired, reconnecting", "connected again"
+    assert reports == [f"{broker.url}: {each}" for each in expected]
 
 
 async def test_one_consumer_at_a_time_can_use_a_position_file(
@@ -124,11 +160,16 @@ async def test_one_consumer_at_a_time_can_use_a_position_file(
 
 async def test_a_check_asks_at_most_100_rigs_and_the_next_one_asks_others() -> None:
     events, posted = Consumer("mqtt://localhost", since="start"), list[Message]()
+
+    def publish(message: Message) -> asyncio.Future[str]:
+        posted.append(message)
+        return asyncio.Future()
+
     for number in range(300):
         inside(events, "_position").announce(("lab", f"forged{number}"), {"ab": 9})
         if number == 100:
             inside(events, "_position").take(event(3))
     for checks in range(1, 5):
-        vars(Consumer)["_check"](events, SimpleNamespace(publish=posted.append))
+        vars(Consumer)["_check"](events, SimpleNamespace(publish=publish))
         assert len({message.topic for message in posted}) == len(posted) == min(100 * checks, 301)
     assert f"{UR10}/replay/request" in {message.topic for message in posted}

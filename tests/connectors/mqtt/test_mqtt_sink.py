@@ -4,6 +4,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -46,7 +47,8 @@ async def sent(sink: Mqtt) -> None:
 
 async def test_events_arrive_in_order(broker: TestBroker, run: Run) -> None:
     listener = broker.listen(f"{RIG}/+/event")
-    sink = Mqtt(broker.url, rig="rig", model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.5, consecutive=2)
+    rule: Any = {"threshold": np.float64(0.5), "consecutive": np.int64(2)}  # as of a study
+    sink = Mqtt(broker.url, rig="rig", model={"id": "tcn", "sha256": "0f" * 32}, **rule)
     async with opened(sink, run):
         await sink.write(slips(1, 0))
         await sink.write(slips(1, finger=2, probability=float("nan")))

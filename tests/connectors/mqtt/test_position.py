@@ -130,6 +130,13 @@ def test_requests_become_rarer_until_they_are_answered() -> None:
     assert position.request(UR10, now)
 
 
+def test_a_rig_that_starts_again_and_again_brings_back_no_old_event() -> None:
+    position, kept = Position(), {f"old{number}": 50 for number in range(99)}
+    for number in range(100):
+        assert not position.announce(UR10, {**kept, f"new{number}": 0})
+        assert missed(position) is None
+
+
 def test_forged_rigs_and_epochs_do_not_displace_a_rig_that_delivers() -> None:
     position = Position()
     position.announce(UR10, {"ab": 5})
