@@ -4,7 +4,6 @@ import asyncio
 import errno
 import fcntl
 import logging
-import os
 from collections import deque
 from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import suppress
@@ -40,11 +39,12 @@ TIMEOUT: Final = 3.0  # s, for a scan and for the end of the thread
 SHORTEST_WAIT: Final = ms // 5  # ns, between looks at a slow clock
 BACKLOG: Final = 1000  # maximum of scans that wait for the event loop
 _NOT_ACKNOWLEDGED: Final = (errno.EREMOTEIO, errno.ENXIO)  # adapters differ
+_IMPLAUSIBLE: Final = "no cell gives plausible values: unload the fingertips, or replace them"
 _NO_ANSWER: Final = "no fingertip answers: check the power and the rows"
 _REASONS: Final = {
     errno.ENOENT: "the bus does not exist: is I2C enabled?",
     errno.EACCES: "permission denied: is the user in the group i2c?",
-    errno.EWOULDBLOCK: "is in use: end the other program, or reset a blocked adapter",
+    errno.EWOULDBLOCK: "is in use: end the other program or source, or reset a blocked adapter",
     errno.EBUSY: "a kernel driver uses the address of the barometers: unload it",
     errno.EREMOTEIO: _NO_ANSWER,
     errno.ENXIO: _NO_ANSWER,
@@ -154,9 +154,7 @@ class Scanner:
         data: bytes | None = None
         for _ in range(READINGS):
             before, data = data, self._read(address, COEFFICIENTS, 8)
-            if data is None:
-                return None
-            if data == before:
+            if data and data == before:
                 return Coefficients.decode(data)
         return None
 
@@ -164,15 +162,14 @@ class Scanner:
         """Read from one cell, while all others are disconnected; return None if it does not answer."""
         try:
             self._connect(address)
-            try:
-                return bytes(self._bus.read_i2c_block_data(BAROMETER, register, length))
-            finally:
-                self._disconnect(address)
+            data = bytes(self._bus.read_i2c_block_data(BAROMETER, register, length))
+            self._disconnect(address)
         except OSError as error:
-            self._disconnect_all()
             if error.errno not in _NOT_ACKNOWLEDGED:
                 raise
+            self._disconnect_all()
             return None
+        return data
 
     def _disconnect_all(self) -> None:
         """Disconnect all cells, and check that none answers.
@@ -187,7 +184,8 @@ class Scanner:
             if error.errno not in _NOT_ACKNOWLEDGED:
                 raise
         else:
-            raise OSError(errno.EADDRINUSE, "a barometer answers although all are disconnected")
+            reason = "a barometer, or another device at its address, answers although all are disconnected"
+            raise OSError(errno.EADDRINUSE, reason)
 
     def _connect(self, address: int) -> None:
         """Connect the cells of an address."""
@@ -203,7 +201,7 @@ class Scanner:
         try:
             self._bus.write_byte(address, 0)
         except OSError as error:  # the address took effect; the byte is never acknowledged
-            if error.errno != errno.EREMOTEIO:
+            if error.errno not in _NOT_ACKNOWLEDGED:
                 raise
 
     def _disconnect(self, address: int) -> None:
@@ -278,7 +276,7 @@ class ScanThread:
                 else:
                     unplugged = scan.error is not None and scan.error.errno == errno.ENODEV
                     if self._now() - sampled > max(LOST_AFTER, 3 * period) or unplugged:
-                        raise scan.error or OSError(errno.EREMOTEIO, os.strerror(errno.EREMOTEIO))
+                        raise scan.error or OSError(errno.ENODATA, _IMPLAUSIBLE)
                 if answered:  # a sensor without any sample so far is still lost
                     self._pass_on(scan)
             due = next_scan(due, self._now(), period)

@@ -170,7 +170,8 @@ class RtdeClient:
         """Open the connection; return the number of the granted recipe."""
         self._stream = await asyncio.open_connection(*self._address)
         if await self._ask(Kind.PROTOCOL, PROTOCOL.to_bytes(2, "big")) != b"\1":
-            raise RtdeError(f"the controller does not support RTDE version {PROTOCOL}: update its software")
+            reason = f"the controller does not support RTDE version {PROTOCOL}: update its software"
+            raise EndpointError(self.endpoint, reason)
         version = await self._ask(Kind.CONTROLLER)
         if len(version) != _VERSION.size:
             raise RtdeError(f"the controller's version has {len(version)} bytes, must have {_VERSION.size}")
@@ -250,6 +251,8 @@ class RtdeClient:
             raise EndpointError(self.endpoint, "the controller closed the connection") from error
         except OSError as error:
             raise EndpointError(self.endpoint, os_error_reason(error)) from error
+        except UnicodeError as error:
+            raise EndpointError(self.endpoint, "is not a valid name of a host") from error
         except RtdeError as error:
             unknown = "" if self.controller else "is not an RTDE server: "
             raise EndpointError(self.endpoint, f"{unknown}{error}") from error

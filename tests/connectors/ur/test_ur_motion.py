@@ -161,6 +161,11 @@ async def test_controller_and_rate_are_checked() -> None:
     assert (slow.state, "sends 125.0 Hz at most" in slow.text) == ("bad", True)
 
 
+async def test_a_malformed_host_is_an_error_of_the_endpoint() -> None:
+    [found] = (await diagnose({"motion": UrMotion("10..0.2")}, LoopClock()))["motion"]
+    assert found == Finding("rtde://10..0.2:30004", "is not a valid name of a host", "bad")
+
+
 async def test_an_arm_that_cannot_move_is_noted() -> None:
     async with lab() as here:
         here.controller.box.safety_mode = SafetyMode.PROTECTIVE_STOP
