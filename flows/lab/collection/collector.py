@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from collections import Counter
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from contextlib import aclosing
 from dataclasses import replace
@@ -265,15 +266,20 @@ class Collector(Source[Episodes]):
             await self.arm.wait(_POLL)
 
     async def _watch(self, monitor: ContactMonitor) -> None:
-        """Stop the arm when a fingertip gives no more samples."""
+        """Stop the arm when a fingertip gives no more samples.
+
+        The checks are counted, not the time, so that a stall of the host does not count as silence.
+        """
         timeout = self.path.plan.limits.sensor_timeout
+        before, checks = dict[int, int](), Counter[int]()  # newest samples; checks without a new one
         while True:
-            now = self.clock.now()
             for finger, newest in monitor.newest.items():
-                if now - newest > timeout * s:
+                checks[finger] = checks[finger] + 1 if newest == before.get(finger) else 0
+                if checks[finger] * _POLL > timeout:
                     reason = f"fingertip {finger} gave no sample for {timeout:g} s (limits.sensor_timeout)"
                     self.arm.fail(reason)
-            await self.clock.sleep_until(now + round(_POLL * s))
+            before = monitor.newest.copy()
+            await asyncio.sleep(_POLL)
 
     async def _follow(self, steps: Sequence[Step]) -> None:
         """Move along a path from the arm's pose."""

@@ -21,7 +21,7 @@ from connectors.ur.ur_state import Pose
 from flows.cli.collect import _report
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
-from flows.graph.testing import run_virtually
+from flows.graph.testing import VirtualLoop, run_virtually
 from flows.lab.collection.arm_path import Surface
 from flows.lab.collection.collector import LEAST_CHANGE, Collector, ContactMonitor, virtual_arm
 from flows.lab.collection.stroke_plan import CollectionPlan, Limits, PathSettings, PlannedPath, StrokeSeries
@@ -269,6 +269,15 @@ def test_an_interruption_stops_the_arm_and_commits(
     touch = concat(Touch, list(done.session.read(Touch, 0)))
     assert touch.time[-1] - touch.time[0] > 1.5 * s
     assert done.session.frame("episodes")["end"][-1] <= done.about["end_ns"]
+
+
+def test_a_stall_of_the_host_is_no_silence_of_a_fingertip(tmp_path: Path) -> None:
+    def stall(_: SimulatedArm) -> None:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        loop.stall(2 * QUICK.limits.sensor_timeout)
+
+    assert not made(tmp_path / "data", act=stall).collected.error
 
 
 def test_too_much_force_stops_the_arm(tmp_path: Path) -> None:
