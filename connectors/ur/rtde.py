@@ -9,11 +9,11 @@ Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide".
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Mapping
+from collections.abc import Coroutine, Mapping
 from contextlib import suppress
 from enum import IntEnum
 from struct import Struct
-from typing import Final, TypeAlias, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -238,11 +238,18 @@ class RtdeClient:
                     unread.append(package)
         return unread
 
-    async def _in_time(self, awaited: Awaitable[T], late: str) -> T:
-        """Wait at most `TIMEOUT`; every failure becomes an EndpointError."""
+    async def _in_time(self, work: Coroutine[Any, Any, T], late: str) -> T:
+        """Wait at most `TIMEOUT`, in two parts; every failure becomes an EndpointError.
+
+        A stall of the host can end one part although packages wait in the socket, which are read in the other.
+        """
+        task = asyncio.create_task(work)
         try:
-            async with asyncio.timeout(TIMEOUT):
-                return await awaited
+            for _ in range(2):
+                done, _ = await asyncio.wait({task}, timeout=TIMEOUT / 2)
+                if done:
+                    return task.result()
+            raise TimeoutError
         except TimeoutError as error:
             raise EndpointError(self.endpoint, late) from error
         except ConnectionRefusedError as error:
@@ -256,3 +263,6 @@ class RtdeClient:
         except RtdeError as error:
             unknown = "" if self.controller else "is not an RTDE server: "
             raise EndpointError(self.endpoint, f"{unknown}{error}") from error
+        finally:
+            task.cancel()
+            await asyncio.wait({task})

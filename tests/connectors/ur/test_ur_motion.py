@@ -13,7 +13,7 @@ from connectors import UrMotion
 from connectors.ur import rtde
 from connectors.ur.rtde import Kind
 from flows.graph import Flow
-from flows.graph.testing import TestSink
+from flows.graph.testing import TestSink, VirtualLoop
 from flows.run.clocks import LoopClock
 from flows.run.diagnosis import diagnose
 from flows.run.live_runner import LiveRunner
@@ -95,6 +95,15 @@ async def test_a_slow_flow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
     assert (np.diff(motion.device_time) == 8 * ms).all()
     assert len(motion) > 4 * 250
     assert [len(batch) for batch in taken].count(20) >= 5  # reading pauses after 20 unread packages
+
+
+async def test_a_stall_of_the_host_loses_nothing() -> None:
+    async with lab() as here:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        loop.call_later(1.0, loop.stall, 5.0)
+        motion = await here.take(1000)
+    assert (np.diff(motion.device_time) == 8 * ms).all()
 
 
 async def test_a_clock_that_goes_back_ends_the_connection() -> None:
