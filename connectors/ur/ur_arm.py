@@ -83,6 +83,8 @@ class UrArm:
             self._check()
             if isfinite(self.bounds.force) and isnan(hypot(*self.state.force)):
                 log.warning("%s: the controller reports no force: the limit is not checked", self._endpoint)
+            if self.state.slowed:
+                log.warning("%s: %s", self._endpoint, self.state.slowed)
             self._spawn("the reading of its state", self._read_states())
             self.control.start()
             self._spawn("the keep-alive of its control process", self.control.keep_alive())

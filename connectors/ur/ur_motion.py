@@ -105,10 +105,12 @@ class UrMotion(Source[Motion]):
         try:
             await client.connect()
             self._check_controller(client)
-            stopped = (await receive_states(client))[-1].stopped
+            state = (await receive_states(client))[-1]
             yield Finding(client.endpoint, f"controller of version {client.controller}")
-            if stopped:
-                yield Finding(client.endpoint, f"{stopped}: see the teach pendant", "note")
+            if state.stopped:
+                yield Finding(client.endpoint, f"{state.stopped}: see the teach pendant", "note")
+            if state.slowed:
+                yield Finding(client.endpoint, state.slowed, "note")
             stamps, end = np.zeros(0), clock.now() + DIAGNOSIS
             while clock.now() < end:
                 stamps = np.append(stamps, (await client.receive())[1]["timestamp"])

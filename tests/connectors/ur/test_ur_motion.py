@@ -175,8 +175,10 @@ async def test_a_malformed_host_is_an_error_of_the_endpoint() -> None:
     assert found == Finding("rtde://10..0.2:30004", "is not a valid name of a host", "bad")
 
 
-async def test_an_arm_that_cannot_move_is_noted() -> None:
+async def test_an_arm_that_cannot_move_or_is_slow_is_noted() -> None:
     async with lab() as here:
         here.controller.box.safety_mode = SafetyMode.PROTECTIVE_STOP
-        found = (await diagnose({"motion": here.source}, here.clock))["motion"]
-    assert (found[1].text, found[1].state) == ("protective stop: see the teach pendant", "note")
+        here.controller.box.slider = 0.5
+        _, stopped, slow, _ = (await diagnose({"motion": here.source}, here.clock))["motion"]
+    assert (stopped.text, stopped.state) == ("protective stop: see the teach pendant", "note")
+    assert (slow.text.startswith("its speed slider is at 50%: "), slow.state) == (True, "note")
