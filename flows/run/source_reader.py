@@ -45,9 +45,8 @@ class SourceReader:
         declared = rate * len(source.fingers) if rate else None
         self.status = run.sources[name] = SourceStatus(declared_rate=declared)
         self._filters = defaultdict[int, LateRowFilter](LateRowFilter)  # by fingertip; they only count
-        self._ahead = dict[int, int]()  # ns, how far rows were ahead of the run's clock, by fingertip
+        self._ahead = defaultdict[int, int](int)  # ns, how far rows were ahead of the run's clock, by fingertip
         self._held = dict[int, Batch]()  # rows of the future, until the next batch, by fingertip
-        self._limits = dict[int, int]()  # ns, up to which rows need no look at the clock, by fingertip
         self._gap_start, self._gap_reason = 0, ""  # of the current gap; 0: none
         self._used = self._late = 0  # rows in time, and late rows, when a check last found new rows in time
         self._silent = 0.0  # s since then
@@ -175,34 +174,24 @@ class SourceReader:
 
     def _without_stray(self, batch: Batch) -> Batch:
         """Hold rows of the future back; deliver them with the next batch if that continues after them."""
-        finger, newest = batch.finger, batch.time.item(-1)
-        if newest <= self._limits.get(finger, 0):
-            return batch
-        now, held = self._run.clock.now(), self._held.pop(finger, None)
-        if held and held.time[-1] <= batch.time[0]:  # the clock is that of another host
-            self._ahead[finger] = newest - now
-            return concat(type(batch), [held, batch])
-        if held:
-            self._drop_stray(held)
-        usual = self._ahead.get(finger, 0)
-        limit = now + usual + STRAY
-        if newest <= limit:
-            self._ahead[finger] = max(usual, newest - now)
-            self._limits[finger] = limit
-            return batch
-        self._limits.pop(finger, None)
-        cut = int(batch.time.searchsorted(limit, side="right"))
-        self._held[finger] = batch[cut:]
-        return batch[:cut]
-
-    def _drop_stray(self, held: Batch) -> None:
-        """Count rows of the future as late; warn once."""
-        self.status.rows += len(held)
-        self.status.late += len(held)
-        if not self._strayed:
+        finger, newest, now = batch.finger, batch.time.item(-1), self._run.clock.now()
+        if held := self._held.pop(finger, None):
+            if held.time[-1] <= batch.time[0]:  # the clock is that of another host
+                self._ahead[finger] = newest - now
+                return concat(type(batch), [held, batch])
+            self.status.rows += len(held)
+            self.status.late += len(held)
+            if not self._strayed:
+                text = "%s delivered a row of %.1f s in the future: such rows are dropped and counted as late"
+                log.warning(text, self.name, (held.time.item(-1) - now) / s)
             self._strayed = True
-            text = "%s delivered a row of %.1f s in the future: such rows are dropped and counted as late"
-            log.warning(text, self.name, (held.time.item(-1) - self._run.clock.now()) / s)
+        limit = now + self._ahead[finger] + STRAY
+        if newest > limit:
+            cut = int(batch.time.searchsorted(limit, side="right"))
+            self._held[finger] = batch[cut:]
+            return batch[:cut]
+        self._ahead[finger] = max(self._ahead[finger], newest - now)
+        return batch
 
     def count(self, batch: Batch) -> None:
         """Count the rows of a batch; call this after passing it on, so that counting delays no event."""
@@ -220,7 +209,6 @@ class SourceReader:
             log.warning("%s failed, retrying: %s", self.name, reason)
         self.status.failures += 1
         self._ahead.clear()  # a device that restarts may have set its clock
-        self._limits.clear()
         self._begin_gap(reason, stale=False)
 
     def _is_silent(self, reason: str, hint: str = "check that it is connected and switched on") -> None:
