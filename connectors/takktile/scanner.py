@@ -122,15 +122,11 @@ class Scanner:
             for fingertip, row in enumerate(self._rows):
                 for cell in range(BAROMETERS):
                     data = self._read(cell_address(row, cell), DATA, 4)
-                    overload = self._overload[fingertip][cell]
-                    if data is None:
-                        overload.valid(None)
-                        continue
-                    reading = Reading.decode(data)
+                    reading = Reading.decode(data or bytes(4))  # 0 is implausible
                     scan.counts[fingertip, cell] = reading.pressure
                     scan.temperature[fingertip, cell] = reading.temperature
                     count = reading.pressure if reading.plausible else None
-                    scan.valid[fingertip, cell] = overload.valid(count)
+                    scan.valid[fingertip, cell] = self._overload[fingertip][cell].valid(count)
         except OSError as error:
             with suppress(OSError):
                 self._disconnect_all()

@@ -249,9 +249,7 @@ class RtdeClient:
                 done, _ = await asyncio.wait({task}, timeout=TIMEOUT / 2)
                 if done:
                     return task.result()
-            raise TimeoutError
-        except TimeoutError as error:
-            raise EndpointError(self.endpoint, late) from error
+            raise EndpointError(self.endpoint, late)
         except ConnectionRefusedError as error:
             raise EndpointError(self.endpoint, _REFUSED) from error
         except EOFError as error:

@@ -57,8 +57,7 @@ class UrMotion(Source[Motion]):
         if not self.host:
             raise ParameterError("UrMotion", "host", self.host, "the address of a controller")
         if not LOWEST_RATE <= self.rate <= E_SERIES_RATE or not _divides(self.rate, E_SERIES_RATE):
-            examples = ", ".join(f"{E_SERIES_RATE / part:.6g}" for part in (1, 2, 3, 4))
-            must_be = f"500 Hz divided by an integer, from {LOWEST_RATE:g} Hz: {examples}"
+            must_be = "500 Hz divided by an integer, from 2 Hz: 500, 250, 166.667, 125"
             raise ParameterError("UrMotion", "rate", self.rate, must_be)
         address = f"rtde://{self.host}:{self.port}"
         self._about |= {"arm": "UR", "address": address, "rate_hz": self.rate}
