@@ -182,17 +182,21 @@ class Collector(Source[Episodes]):
         self.arm.fail("interrupted")
 
     async def _check_sampling(self) -> None:
-        """Wait for a first sample.
+        """Wait for a first valid sample of every fingertip.
 
         Raises:
-            EndpointError: if none arrives.
+            EndpointError: if one gives none.
         """
         batches = cast("AsyncGenerator[Touch]", self.touch.batches(self.clock))
+        missing = set(self.touch.fingers)
         try:
             async with asyncio.timeout(FIRST_SAMPLE), aclosing(batches):
-                await anext(batches)
+                while missing:
+                    touch = await anext(batches)
+                    missing -= {touch.finger} if touch.valid.any() else set()
         except TimeoutError as error:
-            raise EndpointError("touch", f"gives no sample within {FIRST_SAMPLE:g} s") from error
+            reason = f"fingertip {min(missing)} gives no sample within {FIRST_SAMPLE:g} s"
+            raise EndpointError("touch", reason) from error
 
     async def _record_all(self) -> None:
         series = self.path.series

@@ -302,12 +302,12 @@ class Sampled(SimulatedArm):
 
 def test_nothing_moves_without_a_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def silent(*_: object) -> AsyncIterator[Touch]:
+        yield pressed(400, 0, valid=False)
         await asyncio.sleep(math.inf)
-        yield Touch.empty()
 
     monkeypatch.setattr("connectors.sim.simulated_arm.SimulatedArm._touch", silent)
     monkeypatch.setattr("flows.lab.collection.collector.SimulatedArm", Sampled)
-    with pytest.raises(EndpointError, match="gives no sample within 10 s"):
+    with pytest.raises(EndpointError, match="fingertip 0 gives no sample within 10 s"):
         made(tmp_path / "data")
     assert not list(tmp_path.iterdir())
 
