@@ -26,7 +26,7 @@ from connectors.takktile.takktile_protocol import (
     cell_address,
 )
 from operators.batch import BAROMETERS, Counts, Flags, ms, s
-from operators.errors import EndpointError
+from operators.errors import EndpointError, os_error_reason
 
 Cells: TypeAlias = Mapping[int, list[Coefficients | None]]  # by row
 
@@ -49,6 +49,7 @@ _REASONS: Final = {
     errno.EREMOTEIO: _NO_ANSWER,
     errno.ENXIO: _NO_ANSWER,
     errno.ETIMEDOUT: "timeout: a device blocks the bus; switch the fingertips off and on",
+    errno.ENOTTY: "is no I2C bus: give its number, or a path such as /dev/i2c-1",
     errno.ENODEV: "the adapter is missing: is it plugged in?",
 }
 
@@ -71,7 +72,7 @@ class Scan(NamedTuple):
 
 def i2c_reason(error: OSError) -> str:
     """Return the reason of a bus error, with its likely cause or remedy."""
-    text = _REASONS.get(error.errno or 0) or error.strerror or str(error)
+    text = _REASONS.get(error.errno or 0) or os_error_reason(error, of_device=True)
     return f"{text} (errno {error.errno})"
 
 
@@ -181,7 +182,7 @@ class Scanner:
                 raise
         else:
             reason = "a barometer, or another device at its address, answers although all are disconnected"
-            raise OSError(errno.EADDRINUSE, reason)
+            raise OSError(errno.EPROTO, reason)
 
     def _connect(self, address: int) -> None:
         """Connect the cells of an address."""

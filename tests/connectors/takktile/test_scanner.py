@@ -187,6 +187,14 @@ def test_one_wrong_bit_in_coefficients_is_noticed_and_they_are_read_again(rig: R
     assert [cell for cell, known in enumerate(rig.coefficients[1]) if known is None] == [4]
 
 
+def test_an_error_names_its_remedy() -> None:
+    with pytest.raises(OSError, match="ioctl") as no_bus:
+        Scanner("/dev/null", {}, time_ns)
+    assert i2c_reason(no_bus.value).startswith("is no I2C bus: ")
+    failed = OSError(errno.EIO, os.strerror(errno.EIO))
+    assert i2c_reason(failed) == "Input/output error; check the cable and the power (errno 5)"
+
+
 def test_a_bus_is_locked(rig: Rig) -> None:
     with closing(rig.open()):
         with pytest.raises(BlockingIOError) as raised:
