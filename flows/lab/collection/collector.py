@@ -56,11 +56,8 @@ class ContactMonitor(Sink[Touch]):
         return "contact monitor"
 
     async def open(self, run: Run) -> None:
-        """Reset the newest times, the means and the baseline."""
+        """Do nothing: a monitor serves one session."""
         del run
-        self.newest.clear()
-        self._baseline.clear()
-        self.restart()
 
     def take(self, batch: Touch) -> bool:
         """Store the time of the newest valid sample, and add the counts to the means."""
