@@ -181,8 +181,7 @@ class Scanner:
             if error.errno not in _NOT_ACKNOWLEDGED:
                 raise
         else:
-            reason = "a barometer, or another device at its address, answers although all are disconnected"
-            raise OSError(errno.EPROTO, reason)
+            raise OSError(errno.EPROTO, "a device at 0x60 answers although all barometers are disconnected")
 
     def _connect(self, address: int) -> None:
         """Connect the cells of an address."""

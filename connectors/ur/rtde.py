@@ -241,7 +241,7 @@ class RtdeClient:
     async def _in_time(self, work: Coroutine[Any, Any, T], late: str) -> T:
         """Wait at most `TIMEOUT`, in two parts; every failure becomes an EndpointError.
 
-        A stall of the host can end one part although packages wait in the socket, which are read in the other.
+        A stall of the host can end one part although packages wait in the socket; the other reads them.
         """
         task = asyncio.create_task(work)
         try:

@@ -106,10 +106,8 @@ class UrMotion(Source[Motion]):
             self._check_controller(client)
             state = (await receive_states(client))[-1]
             yield Finding(client.endpoint, f"controller of version {client.controller}")
-            if state.stopped:
-                yield Finding(client.endpoint, f"{state.stopped}: see the teach pendant", "note")
-            if state.slowed:
-                yield Finding(client.endpoint, state.slowed, "note")
+            for problem in filter(None, (state.stopped, state.slowed)):
+                yield Finding(client.endpoint, f"{problem}: see the teach pendant", "note")
             stamps, end = np.zeros(0), clock.now() + DIAGNOSIS
             while clock.now() < end:
                 stamps = np.append(stamps, (await client.receive())[1]["timestamp"])

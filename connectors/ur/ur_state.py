@@ -65,7 +65,7 @@ class ArmState(NamedTuple):
     @property
     def slowed(self) -> str:
         """Warning that the arm moves slower than commanded; empty if it does not."""
-        slow = f"its speed slider is at {self.slider:.0%}: strokes are slower than planned; set it to 100%"
+        slow = f"its speed slider is at {self.slider:.0%}, so that it moves slower than planned"
         return slow if self.slider < 1 else ""
 
     def stands_at(self, pose: Pose) -> bool:
@@ -129,9 +129,10 @@ def state_client(clock: Clock, host: str) -> RtdeClient:
 async def receive_states(client: RtdeClient) -> list[ArmState]:
     """Return the states received since the last call; wait if there are none."""
     _, rows = await client.receive()
+    columns = [rows[name].tolist() for name in OUTPUTS]
     return [
         ArmState(tuple(pose), tuple(velocity), tuple(force[:3]), *rest)
-        for pose, velocity, force, *rest in zip(*(rows[name].tolist() for name in [*OUTPUTS][1:]), strict=True)
+        for _, pose, velocity, force, *rest in zip(*columns, strict=True)
     ]
 
 

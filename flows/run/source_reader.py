@@ -28,8 +28,8 @@ class SourceReader:
     """Reader of one source, which restarts it after each failure.
 
     A time without rows, because the source failed or was silent for `Source.stale_after`, is recorded as a
-    gap. Late rows do not count. A row with a time in the future would make the rows after it late: it waits for
-    the next batch, and is dropped and counted as late unless that batch has such a time, too.
+    gap. Late rows do not count. A row with a time in the future would make the rows after it late: it waits
+    for the next batch, and is dropped and counted as late unless that batch continues after it.
 
     Args:
         name: Name of the source in the run.
@@ -45,7 +45,7 @@ class SourceReader:
         declared = rate * len(source.fingers) if rate else None
         self.status = run.sources[name] = SourceStatus(declared_rate=declared)
         self._filters = defaultdict[int, LateRowFilter](LateRowFilter)  # by fingertip; they only count
-        self._ahead = defaultdict[int, int](int)  # ns, how far rows were ahead of the run's clock, by fingertip
+        self._ahead = defaultdict[int, int](int)  # ns, lead of rows over the run's clock, by fingertip
         self._held = dict[int, Batch]()  # rows of the future, until the next batch, by fingertip
         self._gap_start, self._gap_reason = 0, ""  # of the current gap; 0: none
         self._used = self._late = 0  # rows in time, and late rows, when a check last found new rows in time

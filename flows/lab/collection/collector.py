@@ -244,7 +244,8 @@ class Collector(Source[Episodes]):
         """Stay in the air for the baseline, then make each stroke."""
         watching = BackgroundTask("touch", "the watch for samples", self._watch(monitor), self.arm.fail)
         try:
-            await self._wait_for_first_samples(monitor)
+            while not monitor.newest.keys() >= set(self.touch.fingers):
+                await self.arm.wait(_POLL)
             monitor.restart()
             await self._follow_as_episode([self.path.plan.path.baseline])
             monitor.set_baseline()
@@ -254,30 +255,19 @@ class Collector(Source[Episodes]):
         finally:
             await watching.end()
 
-    async def _wait_for_first_samples(self, monitor: ContactMonitor) -> None:
-        """Wait until every fingertip has given a sample.
-
-        Raises:
-            EndpointError: if one does not.
-        """
-        end = self.clock.now() + round(FIRST_SAMPLE * s)
-        while missing := set(self.touch.fingers) - set(monitor.newest):
-            if self.clock.now() > end:
-                raise EndpointError("touch", f"fingertip {min(missing)} gives no sample")
-            await self.arm.wait(_POLL)
-
     async def _watch(self, monitor: ContactMonitor) -> None:
         """Stop the arm when a fingertip gives no more samples.
 
         The checks are counted, not the time, so that a stall of the host does not count as silence.
         """
-        timeout = self.path.plan.limits.sensor_timeout
         before, checks = dict[int, int](), Counter[int]()  # newest samples; checks without a new one
         while True:
-            for finger, newest in monitor.newest.items():
+            for finger in self.touch.fingers:
+                newest = monitor.newest.get(finger)
                 checks[finger] = checks[finger] + 1 if newest == before.get(finger) else 0
-                if checks[finger] * _POLL > timeout:
-                    reason = f"fingertip {finger} gave no sample for {timeout:g} s (limits.sensor_timeout)"
+                longest = self.path.plan.limits.sensor_timeout if newest else FIRST_SAMPLE
+                if checks[finger] * _POLL > longest:
+                    reason = f"fingertip {finger} gave no sample for {longest:g} s (limits.sensor_timeout)"
                     self.arm.fail(reason)
             before = monitor.newest.copy()
             await asyncio.sleep(_POLL)

@@ -133,8 +133,8 @@ def test_a_cell_that_stays_connected_spoils_every_scan(rig: Rig, monkeypatch: py
         scan = scanner.scan()
         assert not scan.valid.any()
         assert scan.error is not None
-        assert "though all are disconnected" in i2c_reason(scan.error)
-    with pytest.raises(OSError, match="though all are disconnected"):
+        assert "though all barometers are disconnected" in i2c_reason(scan.error)
+    with pytest.raises(OSError, match="though all barometers are disconnected"):
         rig.open()
 
 

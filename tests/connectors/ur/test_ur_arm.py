@@ -259,7 +259,7 @@ async def test_a_speed_slider_that_slows_the_arm_is_named(
 ) -> None:
     monkeypatch.setattr(ControlBox, "slider", 0.5)
     async with lab():
-        assert "its speed slider is at 50%: strokes are slower than planned" in caplog.text
+        assert "its speed slider is at 50%, so that it moves slower than planned" in caplog.text
 
 
 async def test_an_arm_that_may_not_move_is_not_opened() -> None:

@@ -181,4 +181,4 @@ async def test_an_arm_that_cannot_move_or_is_slow_is_noted() -> None:
         here.controller.box.slider = 0.5
         _, stopped, slow, _ = (await diagnose({"motion": here.source}, here.clock))["motion"]
     assert (stopped.text, stopped.state) == ("protective stop: see the teach pendant", "note")
-    assert (slow.text.startswith("its speed slider is at 50%: "), slow.state) == (True, "note")
+    assert (slow.text.startswith("its speed slider is at 50%, "), slow.state) == (True, "note")

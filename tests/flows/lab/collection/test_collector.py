@@ -7,6 +7,7 @@ import re
 import signal
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -310,6 +311,21 @@ def test_nothing_moves_without_a_sensor(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.raises(EndpointError, match="fingertip 0 gives no sample within 10 s"):
         made(tmp_path / "data")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_fingertip_without_samples_in_a_session_stops_the_arm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started, touch = count(), SimulatedArm._touch
+
+    async def once(arm: SimulatedArm, clock: LoopClock) -> AsyncIterator[Touch]:
+        if next(started):
+            await asyncio.sleep(math.inf)
+        async for sample in touch(arm, clock):
+            yield sample
+
+    monkeypatch.setattr(SimulatedArm, "_touch", once)
+    assert "fingertip 0 gave no sample for 10 s" in made(tmp_path / "data").collected.error
 
 
 def test_operators_are_compiled_before_the_arm_is_commanded(
