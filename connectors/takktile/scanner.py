@@ -80,7 +80,7 @@ class Scanner:
     """Scanner of the fingertips on a bus, which it opens exclusively; all cells are then disconnected.
 
     A cell is read only while all others are confirmed to be disconnected: connected cells answer at the same
-    time, and the result looks like data. After every error all cells are disconnected.
+    time, and the result looks like data. After every error, a scan disconnects all cells.
 
     Args:
         path: Path of the bus, such as /dev/i2c-1.
