@@ -159,7 +159,7 @@ def line(x: Reals, y: Reals, limit: float) -> tuple[float, float]:
     middle /= len(x)
     while x[right] > x[left]:
         drift = float((y[right] - y[left]) / (x[right] - x[left]))
-        lowest = _lowest(x, y, drift)
+        lowest = int(np.argmin(y - drift * x))
         above = y[lowest] - drift * x[lowest]
         if lowest in (left, right) or above >= min(y[left] - drift * x[left], y[right] - drift * x[right]):
             break
@@ -168,14 +168,5 @@ def line(x: Reals, y: Reals, limit: float) -> tuple[float, float]:
         else:
             right = lowest
     drift = min(max(drift, -limit), limit) if x[-1] - x[0] >= _SPAN else 0.0
-    lowest = _lowest(x, y, drift)
+    lowest = int(np.argmin(y - drift * x))
     return float(y[lowest] - drift * x[lowest]), drift
-
-
-def _lowest(x: Reals, y: Reals, drift: float) -> int:
-    """Return the index of the first row with the smallest y - drift * x."""
-    lowest = 0
-    for row in range(1, len(x)):
-        if y[row] - drift * x[row] < y[lowest] - drift * x[lowest]:
-            lowest = row
-    return lowest

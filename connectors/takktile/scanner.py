@@ -4,7 +4,6 @@ import asyncio
 import errno
 import fcntl
 import logging
-import os
 from collections import deque
 from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import suppress
@@ -27,7 +26,7 @@ from connectors.takktile.takktile_protocol import (
     cell_address,
 )
 from operators.batch import BAROMETERS, Counts, Flags, ms, s
-from operators.errors import EndpointError
+from operators.errors import EndpointError, os_error_reason
 
 Cells: TypeAlias = Mapping[int, list[Coefficients | None]]  # by row
 
@@ -40,15 +39,17 @@ TIMEOUT: Final = 3.0  # s, for a scan and for the end of the thread
 SHORTEST_WAIT: Final = ms // 5  # ns, between looks at a slow clock
 BACKLOG: Final = 1000  # maximum of scans that wait for the event loop
 _NOT_ACKNOWLEDGED: Final = (errno.EREMOTEIO, errno.ENXIO)  # adapters differ
+_IMPLAUSIBLE: Final = "no cell gives plausible values: unload the fingertips, or replace them"
 _NO_ANSWER: Final = "no fingertip answers: check the power and the rows"
 _REASONS: Final = {
     errno.ENOENT: "the bus does not exist: is I2C enabled?",
     errno.EACCES: "permission denied: is the user in the group i2c?",
-    errno.EWOULDBLOCK: "is in use: end the other program, or reset a blocked adapter",
+    errno.EWOULDBLOCK: "is in use: end the other program or source, or reset a blocked adapter",
     errno.EBUSY: "a kernel driver uses the address of the barometers: unload it",
     errno.EREMOTEIO: _NO_ANSWER,
     errno.ENXIO: _NO_ANSWER,
     errno.ETIMEDOUT: "timeout: a device blocks the bus; switch the fingertips off and on",
+    errno.ENOTTY: "is no I2C bus: give its number, or a path such as /dev/i2c-1",
     errno.ENODEV: "the adapter is missing: is it plugged in?",
 }
 
@@ -71,7 +72,7 @@ class Scan(NamedTuple):
 
 def i2c_reason(error: OSError) -> str:
     """Return the reason of a bus error, with its likely cause or remedy."""
-    text = _REASONS.get(error.errno or 0) or error.strerror or str(error)
+    text = _REASONS.get(error.errno or 0) or os_error_reason(error, of_device=True)
     return f"{text} (errno {error.errno})"
 
 
@@ -79,7 +80,7 @@ class Scanner:
     """Scanner of the fingertips on a bus, which it opens exclusively; all cells are then disconnected.
 
     A cell is read only while all others are confirmed to be disconnected: connected cells answer at the same
-    time, and the result looks like data. After every error all cells are disconnected.
+    time, and the result looks like data. After every error, a scan disconnects all cells.
 
     Args:
         path: Path of the bus, such as /dev/i2c-1.
@@ -122,15 +123,11 @@ class Scanner:
             for fingertip, row in enumerate(self._rows):
                 for cell in range(BAROMETERS):
                     data = self._read(cell_address(row, cell), DATA, 4)
-                    overload = self._overload[fingertip][cell]
-                    if data is None:
-                        overload.valid(None)
-                        continue
-                    reading = Reading.decode(data)
+                    reading = Reading.decode(data or bytes(4))  # 0 is implausible
                     scan.counts[fingertip, cell] = reading.pressure
                     scan.temperature[fingertip, cell] = reading.temperature
                     count = reading.pressure if reading.plausible else None
-                    scan.valid[fingertip, cell] = overload.valid(count)
+                    scan.valid[fingertip, cell] = self._overload[fingertip][cell].valid(count)
         except OSError as error:
             with suppress(OSError):
                 self._disconnect_all()
@@ -154,9 +151,7 @@ class Scanner:
         data: bytes | None = None
         for _ in range(READINGS):
             before, data = data, self._read(address, COEFFICIENTS, 8)
-            if data is None:
-                return None
-            if data == before:
+            if data and data == before:
                 return Coefficients.decode(data)
         return None
 
@@ -164,15 +159,14 @@ class Scanner:
         """Read from one cell, while all others are disconnected; return None if it does not answer."""
         try:
             self._connect(address)
-            try:
-                return bytes(self._bus.read_i2c_block_data(BAROMETER, register, length))
-            finally:
-                self._disconnect(address)
+            data = bytes(self._bus.read_i2c_block_data(BAROMETER, register, length))
+            self._disconnect(address)
         except OSError as error:
-            self._disconnect_all()
             if error.errno not in _NOT_ACKNOWLEDGED:
                 raise
+            self._disconnect_all()
             return None
+        return data
 
     def _disconnect_all(self) -> None:
         """Disconnect all cells, and check that none answers.
@@ -187,7 +181,7 @@ class Scanner:
             if error.errno not in _NOT_ACKNOWLEDGED:
                 raise
         else:
-            raise OSError(errno.EADDRINUSE, "a barometer answers although all are disconnected")
+            raise OSError(errno.EPROTO, "a device at 0x60 answers although all barometers are disconnected")
 
     def _connect(self, address: int) -> None:
         """Connect the cells of an address."""
@@ -203,7 +197,7 @@ class Scanner:
         try:
             self._bus.write_byte(address, 0)
         except OSError as error:  # the address took effect; the byte is never acknowledged
-            if error.errno != errno.EREMOTEIO:
+            if error.errno not in _NOT_ACKNOWLEDGED:
                 raise
 
     def _disconnect(self, address: int) -> None:
@@ -278,7 +272,7 @@ class ScanThread:
                 else:
                     unplugged = scan.error is not None and scan.error.errno == errno.ENODEV
                     if self._now() - sampled > max(LOST_AFTER, 3 * period) or unplugged:
-                        raise scan.error or OSError(errno.EREMOTEIO, os.strerror(errno.EREMOTEIO))
+                        raise scan.error or OSError(errno.ENODATA, _IMPLAUSIBLE)
                 if answered:  # a sensor without any sample so far is still lost
                     self._pass_on(scan)
             due = next_scan(due, self._now(), period)

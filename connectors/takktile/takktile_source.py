@@ -67,7 +67,6 @@ class TakkTile(Source[Touch]):
         self.path = f"/dev/i2c-{bus}" if isinstance(bus, int) else bus
         self.rate = rate
         self.coefficients = {finger: list[Coefficients | None]([None] * BAROMETERS) for finger in fingers}
-        self._fingers = fingers
         self._cells = {row: self.coefficients[finger] for row, finger in zip(rows, fingers, strict=True)}
 
     @property
@@ -78,7 +77,7 @@ class TakkTile(Source[Touch]):
     @property
     def fingers(self) -> tuple[int, ...]:
         """Numbers of the fingertips, in the order of their rows."""
-        return self._fingers
+        return tuple(self.coefficients)
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
         """Yield one sample of each fingertip per scan.
@@ -88,9 +87,9 @@ class TakkTile(Source[Touch]):
         """
         async with aclosing(self._scans(clock)) as scans:
             async for scan in scans:
-                times = np.full(len(self._fingers), scan.time)
+                times = np.full(len(self.fingers), scan.time)
                 rows = Touch.rows(times, scan.counts, scan.temperature, scan.valid).packed
-                for row, finger in enumerate(self._fingers):
+                for row, finger in enumerate(self.fingers):
                     yield Touch.unpack(rows[row : row + 1], finger)
 
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
@@ -140,7 +139,7 @@ class TakkTile(Source[Touch]):
             "sensor": "TakkTile 2x3",
             "bus": self.path,
             "rows": list(self._cells),
-            "fingers": list(self._fingers),
+            "fingers": list(self.fingers),
             "coefficients": cast("dict[str, Json]", {str(f): each for f, each in self.coefficients.items()}),
         }
 

@@ -81,9 +81,8 @@ def connect(host: str) -> Any:
     Raises:
         EndpointError: if the controller does not accept it.
     """
-    library = import_module("rtde_control")
     try:
-        return library.RTDEControlInterface(host)
+        return import_module("rtde_control").RTDEControlInterface(host)
     except RuntimeError as error:
         reason = f"cannot be commanded: {error}; does another program control it, is it in remote control?"
         raise EndpointError(f"ur://{host}", reason) from error
@@ -171,7 +170,6 @@ class _Commander:
                 self.stop()
             case Signal.RELEASE:
                 self._end_velocity()
-                self._mode = "rest"
             case _:
                 pass
         if not done:

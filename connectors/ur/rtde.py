@@ -9,11 +9,11 @@ Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide".
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Mapping
+from collections.abc import Coroutine, Mapping
 from contextlib import suppress
 from enum import IntEnum
 from struct import Struct
-from typing import Final, TypeAlias, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -170,7 +170,8 @@ class RtdeClient:
         """Open the connection; return the number of the granted recipe."""
         self._stream = await asyncio.open_connection(*self._address)
         if await self._ask(Kind.PROTOCOL, PROTOCOL.to_bytes(2, "big")) != b"\1":
-            raise RtdeError(f"the controller does not support RTDE version {PROTOCOL}: update its software")
+            reason = f"the controller does not support RTDE version {PROTOCOL}: update its software"
+            raise EndpointError(self.endpoint, reason)
         version = await self._ask(Kind.CONTROLLER)
         if len(version) != _VERSION.size:
             raise RtdeError(f"the controller's version has {len(version)} bytes, must have {_VERSION.size}")
@@ -237,19 +238,29 @@ class RtdeClient:
                     unread.append(package)
         return unread
 
-    async def _in_time(self, awaited: Awaitable[T], late: str) -> T:
-        """Wait at most `TIMEOUT`; every failure becomes an EndpointError."""
+    async def _in_time(self, work: Coroutine[Any, Any, T], late: str) -> T:
+        """Wait at most `TIMEOUT`, in two parts; every failure becomes an EndpointError.
+
+        A stall of the host can end one part although packages wait in the socket; the other reads them.
+        """
+        task = asyncio.create_task(work)
         try:
-            async with asyncio.timeout(TIMEOUT):
-                return await awaited
-        except TimeoutError as error:
-            raise EndpointError(self.endpoint, late) from error
+            for _ in range(2):
+                done, _ = await asyncio.wait({task}, timeout=TIMEOUT / 2)
+                if done:
+                    return task.result()
+            raise EndpointError(self.endpoint, late)
         except ConnectionRefusedError as error:
             raise EndpointError(self.endpoint, _REFUSED) from error
         except EOFError as error:
             raise EndpointError(self.endpoint, "the controller closed the connection") from error
         except OSError as error:
             raise EndpointError(self.endpoint, os_error_reason(error)) from error
+        except UnicodeError as error:
+            raise EndpointError(self.endpoint, "is not a valid name of a host") from error
         except RtdeError as error:
             unknown = "" if self.controller else "is not an RTDE server: "
             raise EndpointError(self.endpoint, f"{unknown}{error}") from error
+        finally:
+            task.cancel()
+            await asyncio.wait({task})

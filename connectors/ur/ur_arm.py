@@ -65,7 +65,7 @@ class UrArm:
         self._endpoint, self._path_tolerance = f"ur://{host}", path_tolerance
         self._client = state_client(clock, host)
         self._state_known = True  # the controller sends the state
-        self._changed, self._dashboard_used = asyncio.Event(), False
+        self._changed = asyncio.Event()
         self._guard: Callable[[ArmState], str] | None = None  # returns why to stop the current move
         self._moved = 0.0  # loop time (s) at which the arm last moved
         self._tasks = list[BackgroundTask]()
@@ -83,6 +83,8 @@ class UrArm:
             self._check()
             if isfinite(self.bounds.force) and isnan(hypot(*self.state.force)):
                 log.warning("%s: the controller reports no force: the limit is not checked", self._endpoint)
+            if self.state.slowed:
+                log.warning("%s: %s", self._endpoint, self.state.slowed)
             self._spawn("the reading of its state", self._read_states())
             self.control.start()
             self._spawn("the keep-alive of its control process", self.control.keep_alive())
@@ -260,9 +262,6 @@ class UrArm:
             return False
 
     async def _stop_by_dashboard(self) -> None:
-        if self._dashboard_used:
-            return
-        self._dashboard_used = True
         try:
             async with asyncio.timeout(DASHBOARD_TIMEOUT):
                 answer = await request_stop(self.host)

@@ -57,8 +57,7 @@ class UrMotion(Source[Motion]):
         if not self.host:
             raise ParameterError("UrMotion", "host", self.host, "the address of a controller")
         if not LOWEST_RATE <= self.rate <= E_SERIES_RATE or not _divides(self.rate, E_SERIES_RATE):
-            examples = ", ".join(f"{E_SERIES_RATE / part:.6g}" for part in (1, 2, 3, 4))
-            must_be = f"500 Hz divided by an integer, from {LOWEST_RATE:g} Hz: {examples}"
+            must_be = "500 Hz divided by an integer, from 2 Hz: 500, 250, 166.667, 125"
             raise ParameterError("UrMotion", "rate", self.rate, must_be)
         address = f"rtde://{self.host}:{self.port}"
         self._about |= {"arm": "UR", "address": address, "rate_hz": self.rate}
@@ -105,10 +104,10 @@ class UrMotion(Source[Motion]):
         try:
             await client.connect()
             self._check_controller(client)
-            stopped = (await receive_states(client))[-1].stopped
+            state = (await receive_states(client))[-1]
             yield Finding(client.endpoint, f"controller of version {client.controller}")
-            if stopped:
-                yield Finding(client.endpoint, f"{stopped}: see the teach pendant", "note")
+            for problem in filter(None, (state.stopped, state.slowed)):
+                yield Finding(client.endpoint, f"{problem}: see the teach pendant", "note")
             stamps, end = np.zeros(0), clock.now() + DIAGNOSIS
             while clock.now() < end:
                 stamps = np.append(stamps, (await client.receive())[1]["timestamp"])

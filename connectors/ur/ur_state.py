@@ -13,13 +13,14 @@ from operators.rotation import compose, quaternion, rotate, rotation_difference
 Point: TypeAlias = tuple[float, float, float]  # m
 Pose: TypeAlias = tuple[float, float, float, float, float, float]  # m and rotation vector in rad, or per s
 
-OUTPUTS: Final = {
+OUTPUTS: Final = {  # after the timestamp in the order of `ArmState`
     "timestamp": "DOUBLE",
     "actual_TCP_pose": "VECTOR6D",
     "actual_TCP_speed": "VECTOR6D",
     "actual_TCP_force": "VECTOR6D",
     "robot_mode": "INT32",
     "safety_mode": "INT32",
+    "target_speed_fraction": "DOUBLE",
 }
 RATE: Final = 125.0  # Hz; every controller supports it
 RUNNING: Final = 7  # robot mode; RTDE guide
@@ -47,6 +48,7 @@ class ArmState(NamedTuple):
     force: Point = (nan, nan, nan)  # N, on the tool at the TCP; NaN: unknown
     robot_mode: int = RUNNING
     safety_mode: int = 1
+    slider: float = 1.0  # of the teach pendant; share of the commanded speed that the arm reaches
 
     @property
     def still(self) -> bool:
@@ -59,6 +61,12 @@ class ArmState(NamedTuple):
         if self.safety_mode != 1 and (reason := SAFETY.get(self.safety_mode, "unknown safety mode")):
             return reason
         return "" if self.robot_mode == RUNNING else f"the arm is not running (robot mode {self.robot_mode})"
+
+    @property
+    def slowed(self) -> str:
+        """Warning that the arm moves slower than commanded; empty if it does not."""
+        slow = f"its speed slider is at {self.slider:.0%}, so that it moves slower than planned"
+        return slow if self.slider < 1 else ""
 
     def stands_at(self, pose: Pose) -> bool:
         """Return True if the arm stands still at a pose."""
@@ -121,10 +129,10 @@ def state_client(clock: Clock, host: str) -> RtdeClient:
 async def receive_states(client: RtdeClient) -> list[ArmState]:
     """Return the states received since the last call; wait if there are none."""
     _, rows = await client.receive()
-    names = "actual_TCP_pose", "actual_TCP_speed", "actual_TCP_force", "robot_mode", "safety_mode"
+    columns = [rows[name].tolist() for name in OUTPUTS]
     return [
-        ArmState(tuple(pose), tuple(velocity), tuple(force[:3]), robot, safety)
-        for pose, velocity, force, robot, safety in zip(*(rows[name].tolist() for name in names), strict=True)
+        ArmState(tuple(pose), tuple(velocity), tuple(force[:3]), *rest)
+        for _, pose, velocity, force, *rest in zip(*columns, strict=True)
     ]
 
 

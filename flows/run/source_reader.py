@@ -11,7 +11,7 @@ import numpy as np
 
 from flows.graph.node import location
 from flows.run.failures import MISTAKES, contained, reason_of
-from operators.batch import Batch, Times, s
+from operators.batch import Batch, Times, concat, s
 from operators.errors import BatchError, EndpointError, OperatorError, SlipflowError
 from operators.operator import LateRowFilter
 from operators.ports import BackOff, Gap, Run, Source, SourceStatus
@@ -28,8 +28,8 @@ class SourceReader:
     """Reader of one source, which restarts it after each failure.
 
     A time without rows, because the source failed or was silent for `Source.stale_after`, is recorded as a
-    gap. Late rows do not count. A row with a time in the future would make the rows after it late: it is
-    dropped and counted as late, unless the batch after it has such a time, too.
+    gap. Late rows do not count. A row with a time in the future would make the rows after it late: it waits
+    for the next batch, and is dropped and counted as late unless that batch continues after it.
 
     Args:
         name: Name of the source in the run.
@@ -45,8 +45,8 @@ class SourceReader:
         declared = rate * len(source.fingers) if rate else None
         self.status = run.sources[name] = SourceStatus(declared_rate=declared)
         self._filters = defaultdict[int, LateRowFilter](LateRowFilter)  # by fingertip; they only count
-        self._ahead = dict[int, int]()  # ns, how far rows were ahead of the run's clock, by fingertip
-        self._limits = dict[int, int]()  # ns, up to which rows need no look at the clock, by fingertip
+        self._ahead = defaultdict[int, int](int)  # ns, lead of rows over the run's clock, by fingertip
+        self._held = dict[int, Batch]()  # rows of the future, until the next batch, by fingertip
         self._gap_start, self._gap_reason = 0, ""  # of the current gap; 0: none
         self._used = self._late = 0  # rows in time, and late rows, when a check last found new rows in time
         self._silent = 0.0  # s since then
@@ -109,12 +109,17 @@ class SourceReader:
         async for delivered in stream:
             if not len(batch := self._checked(delivered)):
                 await asyncio.sleep(0)  # else a source without rows could block the run
-                continue
-            self._taking = True
-            later = take(batch)
-            if later is not None and not await later:
+            elif not await self._taken(batch, take):
                 return
-            self._taking = False
+        for batch in self._held.values():  # no batch came after them
+            await self._taken(batch, take)
+
+    async def _taken(self, batch: Batch, take: Take) -> bool:
+        self._taking = True
+        later = take(batch)
+        ended = later is not None and not await later
+        self._taking = ended
+        return not ended
 
     def check(self, waited: float) -> None:
         """Check the times of the rows, and whether the source is silent; call this every `waited` seconds.
@@ -168,27 +173,25 @@ class SourceReader:
         return self._without_stray(batch) if self._source.in_run_time and len(batch) else batch
 
     def _without_stray(self, batch: Batch) -> Batch:
-        """Return a batch without rows of the future; a clock that stays ahead is that of another host."""
-        finger, newest = batch.finger, batch.time.item(-1)
-        if newest <= self._limits.get(finger, 0):
-            return batch
-        now = self._run.clock.now()
-        usual = self._ahead.setdefault(finger, newest - now)
-        limit = now + max(usual, 0) + STRAY
-        if newest <= limit:
-            self._ahead[finger] = max(usual, newest - now)
-            self._limits[finger] = limit
-            return batch
-        if not self._strayed:
-            text = "%s delivered a row of %.1f s in the future: such rows are dropped and counted as late"
-            log.warning(text, self.name, (newest - now) / s)
-        self._strayed = True
-        del self._ahead[finger]  # the next batch shows whether the clock stays ahead
-        self._limits.pop(finger, None)
-        kept = batch[: int(batch.time.searchsorted(limit, side="right"))]
-        self.status.rows += len(batch) - len(kept)
-        self.status.late += len(batch) - len(kept)
-        return kept
+        """Hold rows of the future back; deliver them with the next batch if that continues after them."""
+        finger, newest, now = batch.finger, batch.time.item(-1), self._run.clock.now()
+        if held := self._held.pop(finger, None):
+            if held.time[-1] <= batch.time[0]:  # the clock is that of another host
+                self._ahead[finger] = newest - now
+                return concat(type(batch), [held, batch])
+            self.status.rows += len(held)
+            self.status.late += len(held)
+            if not self._strayed:
+                text = "%s delivered a row of %.1f s in the future: such rows are dropped and counted as late"
+                log.warning(text, self.name, (held.time.item(-1) - now) / s)
+            self._strayed = True
+        limit = now + self._ahead[finger] + STRAY
+        if newest > limit:
+            cut = int(batch.time.searchsorted(limit, side="right"))
+            self._held[finger] = batch[cut:]
+            return batch[:cut]
+        self._ahead[finger] = max(self._ahead[finger], newest - now)
+        return batch
 
     def count(self, batch: Batch) -> None:
         """Count the rows of a batch; call this after passing it on, so that counting delays no event."""
@@ -206,7 +209,6 @@ class SourceReader:
             log.warning("%s failed, retrying: %s", self.name, reason)
         self.status.failures += 1
         self._ahead.clear()  # a device that restarts may have set its clock
-        self._limits.clear()
         self._begin_gap(reason, stale=False)
 
     def _is_silent(self, reason: str, hint: str = "check that it is connected and switched on") -> None:

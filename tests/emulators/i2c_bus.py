@@ -33,6 +33,7 @@ CONVERSION: Final = 3 * ms  # ns; the datasheet's maximum
 EVERY_CELL: Final = 6  # column number that addresses all cells of a row
 REGISTERS: Final = 0x13  # bytes in the register file
 RELEASED: Final = 0xFF  # byte read while no device pulls the lines low
+NOT_ACKNOWLEDGED = errno.EREMOTEIO  # of most adapters; others report ENXIO
 
 
 class Skin(Protocol):
@@ -161,15 +162,16 @@ class Fault:
     address: int | None
     after: int
     times: int
+    struck: int = 0
 
     def strikes(self, address: int) -> bool:
         """Count a message to an address; return whether it fails."""
-        if not self.times or self.address not in (None, address):
+        if self.struck == self.times or self.address not in (None, address):
             return False
         if self.after:
             self.after -= 1
             return False
-        self.times -= 1
+        self.struck += 1
         return True
 
 
@@ -205,9 +207,11 @@ class EmulatedI2cBus:
         """
         self._faults.append(Fault(number, address, after, times))
 
-    def heal(self) -> None:
-        """Take back every `fail`."""
+    def heal(self) -> int:
+        """Take back every `fail`; return how many messages failed because of them."""
+        struck = sum(fault.struck for fault in self._faults)
         self._faults.clear()
+        return struck
 
     def wedge(self) -> None:
         """Hold the bus: transfers block until `release`, then time out (errno 110)."""
@@ -246,7 +250,7 @@ class EmulatedI2cBus:
             for cell in cells:
                 cell.write(data, now)
         elif not self._switch(address, on=True) or data:  # the ATtinys act on the address and refuse data
-            raise os_error(errno.EREMOTEIO)
+            raise os_error(NOT_ACKNOWLEDGED)
 
     def read(self, address: int, length: int) -> bytes:
         """Send a message that reads, and return the bytes; errors are those of `write`."""
@@ -256,7 +260,7 @@ class EmulatedI2cBus:
             answers = [cell.read(length, now) for cell in cells]
             return bytes(reduce(int.__and__, octets) for octets in zip(*answers, strict=True))
         if not self._switch(address, on=False):
-            raise os_error(errno.EREMOTEIO)
+            raise os_error(NOT_ACKNOWLEDGED)
         return bytes([RELEASED]) * length
 
     def _begin(self, address: int, octets: int) -> None:
@@ -273,7 +277,7 @@ class EmulatedI2cBus:
         """Return the barometers that answer; they answer together."""
         cells = [cell for fingertip in self.fingertips.values() for cell in fingertip.connected]
         if not cells:
-            raise os_error(errno.EREMOTEIO)
+            raise os_error(NOT_ACKNOWLEDGED)
         return cells
 
     def _switch(self, address: int, *, on: bool) -> bool:

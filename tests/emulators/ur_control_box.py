@@ -45,7 +45,7 @@ class RuntimeState(IntEnum):
 
 OUTPUTS: Final[Mapping[str, str]] = MappingProxyType(  # that UrMotion and RTDEControlInterface request
     {
-        "timestamp": "DOUBLE",
+        **dict.fromkeys(("timestamp", "target_speed_fraction"), "DOUBLE"),
         **dict.fromkeys(("actual_TCP_pose", "actual_TCP_speed", "actual_TCP_force"), "VECTOR6D"),
         **dict.fromkeys(("robot_mode", "safety_mode"), "INT32"),
         **dict.fromkeys(("runtime_state", "robot_status_bits", "safety_status_bits"), "UINT32"),
@@ -62,6 +62,8 @@ INPUTS: Final[Mapping[str, str]] = MappingProxyType(
 
 class ControlBox:
     """A control box after power-up, with its arm ready."""
+
+    slider = 1.0  # of speed, on the teach pendant
 
     def __init__(self, pose: Reals, version: tuple[int, ...]) -> None:
         self.version, self.rate = version, 125.0 if version[0] <= CB3 else 500.0
@@ -93,6 +95,7 @@ class ControlBox:
         return {
             **dict.fromkeys(OUTPUTS, 0.0),
             "timestamp": self.timestamp,
+            "target_speed_fraction": self.slider,
             "actual_TCP_pose": tuple(self.drive.pose.tolist()),
             "actual_TCP_speed": tuple(self.drive.velocity.tolist()),
             "actual_TCP_force": (0.0, 0.0, self.drive.push, 99.0, 0.0, 0.0),  # the torques are no force

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from collections import Counter
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from contextlib import aclosing
 from dataclasses import replace
@@ -18,7 +19,7 @@ from connectors.ur.ur_arm import UrArm
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.lab.collection.arm_path import Line, Step, Turn
-from flows.lab.collection.stroke_plan import PlannedPath, Stroke, StrokeSeries
+from flows.lab.collection.stroke_plan import SLIP_ROTATION, SLIP_SPEED, PlannedPath, Stroke, StrokeSeries
 from flows.run.live_runner import LiveRunner
 from flows.run.run_summary import Summary
 from flows.run.supervision import signals_to
@@ -55,11 +56,8 @@ class ContactMonitor(Sink[Touch]):
         return "contact monitor"
 
     async def open(self, run: Run) -> None:
-        """Reset the newest times, the means and the baseline."""
+        """Do nothing: a monitor serves one session."""
         del run
-        self.newest.clear()
-        self._baseline.clear()
-        self.restart()
 
     def take(self, batch: Touch) -> bool:
         """Store the time of the newest valid sample, and add the counts to the means."""
@@ -181,17 +179,21 @@ class Collector(Source[Episodes]):
         self.arm.fail("interrupted")
 
     async def _check_sampling(self) -> None:
-        """Wait for a first sample.
+        """Wait for a first valid sample of every fingertip.
 
         Raises:
-            EndpointError: if none arrives.
+            EndpointError: if one gives none.
         """
         batches = cast("AsyncGenerator[Touch]", self.touch.batches(self.clock))
+        missing = set(self.touch.fingers)
         try:
             async with asyncio.timeout(FIRST_SAMPLE), aclosing(batches):
-                await anext(batches)
+                while missing:
+                    touch = await anext(batches)
+                    missing -= {touch.finger} if touch.valid.any() else set()
         except TimeoutError as error:
-            raise EndpointError("touch", f"gives no sample within {FIRST_SAMPLE:g} s") from error
+            reason = f"fingertip {min(missing)} gives no sample within {FIRST_SAMPLE:g} s"
+            raise EndpointError("touch", reason) from error
 
     async def _record_all(self) -> None:
         series = self.path.series
@@ -230,7 +232,7 @@ class Collector(Source[Episodes]):
         flow, dataset = Flow("collect"), Dataset(self._out)
         touch, motion = flow.source(self.touch, "touch"), flow.source(self._motion, "motion")
         samples = (touch | Zero()) & (motion | DeviceClock()) | Align(within=20 * ms)
-        label = Label(speed=0.003, rotation=0.2, delay=self.path.plan.label_delay)  # m/s, rad/s; paper
+        label = Label(SLIP_SPEED, SLIP_ROTATION, self.path.plan.label_delay)
         touch.to(dataset)
         motion.to(dataset)
         (samples | label | MaskLifted(self._series.surface.middle)).to(dataset)
@@ -242,7 +244,8 @@ class Collector(Source[Episodes]):
         """Stay in the air for the baseline, then make each stroke."""
         watching = BackgroundTask("touch", "the watch for samples", self._watch(monitor), self.arm.fail)
         try:
-            await self._wait_for_first_samples(monitor)
+            while not monitor.newest.keys() >= set(self.touch.fingers):
+                await self.arm.wait(_POLL)
             monitor.restart()
             await self._follow_as_episode([self.path.plan.path.baseline])
             monitor.set_baseline()
@@ -252,28 +255,22 @@ class Collector(Source[Episodes]):
         finally:
             await watching.end()
 
-    async def _wait_for_first_samples(self, monitor: ContactMonitor) -> None:
-        """Wait until every fingertip has given a sample.
-
-        Raises:
-            EndpointError: if one does not.
-        """
-        end = self.clock.now() + round(FIRST_SAMPLE * s)
-        while missing := set(self.touch.fingers) - set(monitor.newest):
-            if self.clock.now() > end:
-                raise EndpointError("touch", f"fingertip {min(missing)} gives no sample")
-            await self.arm.wait(_POLL)
-
     async def _watch(self, monitor: ContactMonitor) -> None:
-        """Stop the arm when a fingertip gives no more samples."""
-        timeout = self.path.plan.limits.sensor_timeout
+        """Stop the arm when a fingertip gives no more samples.
+
+        The checks are counted, not the time, so that a stall of the host does not count as silence.
+        """
+        before, checks = dict[int, int](), Counter[int]()  # newest samples; checks without a new one
         while True:
-            now = self.clock.now()
-            for finger, newest in monitor.newest.items():
-                if now - newest > timeout * s:
-                    reason = f"fingertip {finger} gave no sample for {timeout:g} s (limits.sensor_timeout)"
+            for finger in self.touch.fingers:
+                newest = monitor.newest.get(finger)
+                checks[finger] = checks[finger] + 1 if newest == before.get(finger) else 0
+                longest = self.path.plan.limits.sensor_timeout if newest else FIRST_SAMPLE
+                if checks[finger] * _POLL > longest:
+                    reason = f"fingertip {finger} gave no sample for {longest:g} s (limits.sensor_timeout)"
                     self.arm.fail(reason)
-            await self.clock.sleep_until(now + round(_POLL * s))
+            before = monitor.newest.copy()
+            await asyncio.sleep(_POLL)
 
     async def _follow(self, steps: Sequence[Step]) -> None:
         """Move along a path from the arm's pose."""

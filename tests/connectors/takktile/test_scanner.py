@@ -81,6 +81,14 @@ def test_after_any_failed_message_valid_cells_are_right_and_the_next_scan_is_com
         assert spoilt >= 51  # one message is to be refused: it asks whether all cells are silent
 
 
+def test_a_blocked_bus_costs_a_scan_at_most_two_timeouts(rig: Rig) -> None:
+    with closing(rig.open()) as scanner:
+        for message in range(52):
+            rig.bus.fail(110, after=message, times=1000)
+            scanner.scan()
+            assert rig.bus.heal() <= 2
+
+
 def test_a_bus_error_invalidates_the_scan_and_a_silent_cell_only_itself(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
         rig.bus.fail(110, address=3 << 3 | 1)
@@ -125,13 +133,17 @@ def test_a_cell_that_stays_connected_spoils_every_scan(rig: Rig, monkeypatch: py
         scan = scanner.scan()
         assert not scan.valid.any()
         assert scan.error is not None
-        assert "though all are disconnected" in i2c_reason(scan.error)
-    with pytest.raises(OSError, match="though all are disconnected"):
+        assert "though all barometers are disconnected" in i2c_reason(scan.error)
+    with pytest.raises(OSError, match="though all barometers are disconnected"):
         rig.open()
 
 
 @pytest.mark.parametrize("claims", ["nothing", "quick"])
-def test_an_adapter_without_quick_gets_a_byte(rig: Rig, claims: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("refused", [errno.EREMOTEIO, errno.ENXIO])
+def test_an_adapter_without_quick_gets_a_byte(
+    rig: Rig, claims: str, refused: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tests.emulators.i2c_bus.NOT_ACKNOWLEDGED", refused)
     if claims == "quick":
         monkeypatch.setattr("tests.emulators.i2c_bus._EMULATED_QUICK", 0)
     rig.bus.quick = False
@@ -169,16 +181,25 @@ def test_one_wrong_bit_in_coefficients_is_noticed_and_they_are_read_again(rig: R
         patch.setattr(Cell, "read", wrong)
         rig.open().close()
     assert rig.coefficients[1][2] == Coefficients.decode(right)
+    rig.bus.fail(121, address=3 << 3 | 5)
     rig.bus.fingertips[3].cells[4].defect = Defect.DEAD
     rig.open().close()
     assert [cell for cell, known in enumerate(rig.coefficients[1]) if known is None] == [4]
+
+
+def test_an_error_names_its_remedy() -> None:
+    with pytest.raises(OSError, match="ioctl") as no_bus:
+        Scanner("/dev/null", {}, time_ns)
+    assert i2c_reason(no_bus.value).startswith("is no I2C bus: ")
+    failed = OSError(errno.EIO, os.strerror(errno.EIO))
+    assert i2c_reason(failed) == "Input/output error; check the cable and the power (errno 5)"
 
 
 def test_a_bus_is_locked(rig: Rig) -> None:
     with closing(rig.open()):
         with pytest.raises(BlockingIOError) as raised:
             rig.open()
-        assert i2c_reason(raised.value).startswith("is in use: end the other program, or reset a blocked ad")
+        assert i2c_reason(raised.value).startswith("is in use: end the other program or source, ")
     rig.open().close()
 
 

@@ -48,6 +48,10 @@ async def test_silent_and_defective_cells_are_named(bus: EmulatedI2cBus) -> None
     silent, defective = (await found(0, 5))[1:3]
     assert (silent.state, silent.text.startswith("cells 2 do not answer")) == ("bad", True)
     assert (defective.state, defective.text.startswith("cells 4 give implausible values")) == ("bad", True)
+    for cell in bus.fingertips[5].cells:
+        cell.defect = Defect.ZERO
+    [failed] = await found(5)
+    assert (failed.state, failed.text.startswith("no cell gives plausible values: ")) == ("bad", True)
 
 
 async def test_wrong_coefficients_and_pressures_are_named(bus: EmulatedI2cBus) -> None:

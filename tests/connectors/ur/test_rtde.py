@@ -94,6 +94,7 @@ def test_an_unexpected_package_fails_after_earlier_data(answers: int, wrong: byt
     before = [*ANSWERS[:answers], *([pack(Kind.DATA, DATA[0])] if answers == 4 else [])]
     received, error, _ = fed([b"".join([*before, wrong])])
     assert reason in error
+    assert ("is not an RTDE server" in error) == (answers < 2 and "support" not in reason)
     assert received == (DATA[0] if answers == 4 else b"")
 
 

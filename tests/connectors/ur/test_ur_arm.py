@@ -253,6 +253,15 @@ async def test_a_cancelled_move_stops_the_arm(move: Callable[[UrArm], Coroutine[
         assert not here.arm.fault
 
 
+@pytest.mark.virtual
+async def test_a_speed_slider_that_slows_the_arm_is_named(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(ControlBox, "slider", 0.5)
+    async with lab():
+        assert "its speed slider is at 50%, so that it moves slower than planned" in caplog.text
+
+
 async def test_an_arm_that_may_not_move_is_not_opened() -> None:
     async with UrController(np.array(BEGIN), host=HOST, version=CB3) as controller:
         controller.box.stop_for(SafetyMode.ROBOT_EMERGENCY_STOP)

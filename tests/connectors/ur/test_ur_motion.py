@@ -13,7 +13,7 @@ from connectors import UrMotion
 from connectors.ur import rtde
 from connectors.ur.rtde import Kind
 from flows.graph import Flow
-from flows.graph.testing import TestSink
+from flows.graph.testing import TestSink, VirtualLoop
 from flows.run.clocks import LoopClock
 from flows.run.diagnosis import diagnose
 from flows.run.live_runner import LiveRunner
@@ -97,6 +97,15 @@ async def test_a_slow_flow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
     assert [len(batch) for batch in taken].count(20) >= 5  # reading pauses after 20 unread packages
 
 
+async def test_a_stall_of_the_host_loses_nothing() -> None:
+    async with lab() as here:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        loop.call_later(1.0, loop.stall, 5.0)
+        motion = await here.take(1000)
+    assert (np.diff(motion.device_time) == 8 * ms).all()
+
+
 async def test_a_clock_that_goes_back_ends_the_connection() -> None:
     async with lab() as here:
         taken, reason = await here.fail(1.0, lambda: here.controller.restart(drop=False))
@@ -161,8 +170,15 @@ async def test_controller_and_rate_are_checked() -> None:
     assert (slow.state, "sends 125.0 Hz at most" in slow.text) == ("bad", True)
 
 
-async def test_an_arm_that_cannot_move_is_noted() -> None:
+async def test_a_malformed_host_is_an_error_of_the_endpoint() -> None:
+    [found] = (await diagnose({"motion": UrMotion("10..0.2")}, LoopClock()))["motion"]
+    assert found == Finding("rtde://10..0.2:30004", "is not a valid name of a host", "bad")
+
+
+async def test_an_arm_that_cannot_move_or_is_slow_is_noted() -> None:
     async with lab() as here:
         here.controller.box.safety_mode = SafetyMode.PROTECTIVE_STOP
-        found = (await diagnose({"motion": here.source}, here.clock))["motion"]
-    assert (found[1].text, found[1].state) == ("protective stop: see the teach pendant", "note")
+        here.controller.box.slider = 0.5
+        _, stopped, slow, _ = (await diagnose({"motion": here.source}, here.clock))["motion"]
+    assert (stopped.text, stopped.state) == ("protective stop: see the teach pendant", "note")
+    assert (slow.text.startswith("its speed slider is at 50%, "), slow.state) == (True, "note")

@@ -7,6 +7,7 @@ import re
 import signal
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -21,7 +22,7 @@ from connectors.ur.ur_state import Pose
 from flows.cli.collect import _report
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
-from flows.graph.testing import run_virtually
+from flows.graph.testing import VirtualLoop, run_virtually
 from flows.lab.collection.arm_path import Surface
 from flows.lab.collection.collector import LEAST_CHANGE, Collector, ContactMonitor, virtual_arm
 from flows.lab.collection.stroke_plan import CollectionPlan, Limits, PathSettings, PlannedPath, StrokeSeries
@@ -271,6 +272,15 @@ def test_an_interruption_stops_the_arm_and_commits(
     assert done.session.frame("episodes")["end"][-1] <= done.about["end_ns"]
 
 
+def test_a_stall_of_the_host_is_no_silence_of_a_fingertip(tmp_path: Path) -> None:
+    def stall(_: SimulatedArm) -> None:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        loop.stall(2 * QUICK.limits.sensor_timeout)
+
+    assert not made(tmp_path / "data", act=stall).collected.error
+
+
 def test_too_much_force_stops_the_arm(tmp_path: Path) -> None:
     weak = replace(QUICK, limits=Limits(force=1.0))
     assert re.search(r"a force of 1\.\d N, more than 1 N", made(tmp_path / "data", weak).collected.error)
@@ -293,14 +303,29 @@ class Sampled(SimulatedArm):
 
 def test_nothing_moves_without_a_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def silent(*_: object) -> AsyncIterator[Touch]:
+        yield pressed(400, 0, valid=False)
         await asyncio.sleep(math.inf)
-        yield Touch.empty()
 
     monkeypatch.setattr("connectors.sim.simulated_arm.SimulatedArm._touch", silent)
     monkeypatch.setattr("flows.lab.collection.collector.SimulatedArm", Sampled)
-    with pytest.raises(EndpointError, match="gives no sample within 10 s"):
+    with pytest.raises(EndpointError, match="fingertip 0 gives no sample within 10 s"):
         made(tmp_path / "data")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_fingertip_without_samples_in_a_session_stops_the_arm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started, touch = count(), SimulatedArm._touch
+
+    async def once(arm: SimulatedArm, clock: LoopClock) -> AsyncIterator[Touch]:
+        if next(started):
+            await asyncio.sleep(math.inf)
+        async for sample in touch(arm, clock):
+            yield sample
+
+    monkeypatch.setattr(SimulatedArm, "_touch", once)
+    assert "fingertip 0 gave no sample for 10 s" in made(tmp_path / "data").collected.error
 
 
 def test_operators_are_compiled_before_the_arm_is_commanded(
