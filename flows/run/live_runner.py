@@ -91,9 +91,8 @@ class LiveRunner:
             SlipflowError: if a sink cannot be opened, an operator fails, a source breaks its contract or a
                 sink has a mistake in its code; earlier output is committed.
         """
-        prepared = await _unless(self._stop, self._prepare())
         self.run.start = self.clock.now()
-        if not prepared or not await _unless(self._abandoned, self._open_sinks()):
+        if not await _unless(self._abandoned, self._open_sinks()):
             self.run.error = "was stopped before it began"
             return self.run
         writers = [queue.start() for queue in self._queues.values()]
@@ -113,11 +112,6 @@ class LiveRunner:
                 self.run.error = queue.status.error
                 raise OperatorError(self.run.flow, queue.name, self.run.error) from queue.mistake
         return self.run
-
-    async def _prepare(self) -> None:
-        for source in self._sources.values():
-            with contained():
-                await source.prepare()
 
     async def _open_sinks(self) -> None:
         opened: list[SinkQueue] = []

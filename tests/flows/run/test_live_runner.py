@@ -46,15 +46,8 @@ def test_a_missing_extra_is_an_error_before_anything_starts(hide_packages: Calla
     assert sink.opened == 0
 
 
-class Slow(Endless):
-    """Source that needs 20 s before the run."""
-
-    async def prepare(self) -> None:
-        await asyncio.sleep(20)
-
-
-def test_a_run_ends_after_its_duration_without_the_preparation_of_its_sources() -> None:
-    sink, source = TestSink(), Slow()
+def test_a_run_ends_after_its_duration() -> None:
+    sink, source = TestSink(), Endless()
     run = execute(flow_of(source, sink), duration=s)
     assert 98 <= len(sink.written) <= 100
     assert run.clock.now() - run.start == s
@@ -96,13 +89,10 @@ class Waiting(TestSink):
         await asyncio.sleep(math.inf)
 
 
-@pytest.mark.parametrize(("source", "stops", "opened"), [(Slow(), (1,), 0), (Endless(), (1, 2), 1)])
-def test_a_stop_ends_preparations_and_a_second_one_the_opening_of_sinks(
-    source: Endless, stops: tuple[float, ...], opened: int
-) -> None:
+def test_a_second_stop_ends_the_opening_of_sinks() -> None:
     first = TestSink()
-    assert execute(flow_of(source, first, Waiting()), stops=stops).error == "was stopped before it began"
-    assert (first.opened, first.closed) == (opened, opened)
+    assert execute(flow_of(Endless(), first, Waiting()), stops=(1, 2)).error == "was stopped before it began"
+    assert (first.opened, first.closed) == (1, 1)
 
 
 @dataclass
