@@ -7,8 +7,10 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from ctypes import CFUNCTYPE
 from functools import partial
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from subprocess import PIPE
 from time import sleep
@@ -35,6 +37,14 @@ def test_output_that_cannot_be_written_is_one_line() -> None:
     assert re.fullmatch("error: standard output: No space left on device; free some .*\n", done.stderr)
 
 
+def test_a_character_that_the_terminal_does_not_have_is_escaped(monkeypatch: pytest.MonkeyPatch) -> None:
+    out = TextIOWrapper(BytesIO(), "latin-1", write_through=True)
+    monkeypatch.setattr(main, "app", lambda **_: print("ü€"))
+    with redirect_stdout(out), pytest.raises(SystemExit):
+        main.main()
+    assert out.buffer.getvalue() == b"\xfc\\u20ac\n"
+
+
 @pytest.mark.parametrize(
     "call", [lambda kill: kill(), lambda kill: CFUNCTYPE(None)(kill)()], ids=["code", "callback of LLVM"]
 )
@@ -50,12 +60,13 @@ def test_a_terminated_command_deletes_its_unfinished_output(
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)  # restored
     monkeypatch.setattr("flows.lab.simulation._record", terminate)
     monkeypatch.setattr(sys, "argv", ["slipflow", "simulate", str(tmp_path / "out"), "--jobs", "1"])
-    before = signal.getsignal(signal.SIGTERM)
+    before = [(number, signal.getsignal(number)) for number in (signal.SIGTERM, signal.SIGHUP)]
     try:
         with pytest.raises(SystemExit) as ended:
             __main__.main()
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before:
+            signal.signal(number, handler)
     assert ended.value.code == 130
     assert [*tmp_path.iterdir()] == []
 
