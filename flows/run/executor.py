@@ -229,6 +229,7 @@ def _cluster(url: str) -> Generator[Executor]:
     distributed: Any = import_module("distributed")
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # the errors raised here say what failed
     try:
+        distributed.comm.resolve_address(url)  # else a client of a wrong URL takes 20 s to end
         client = distributed.Client(url, timeout=_CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         reason = f"the Dask scheduler cannot be reached: {error}"

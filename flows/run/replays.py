@@ -151,7 +151,7 @@ class Replays:
             raise FlowError(self.flow.name, ", ".join(exclusive), reason)
         local = executor is None or isinstance(executor, LocalProcesses)
         source = self._source if local else self._source.with_files()
-        paths, names = [*map(str, self.recordings)], [*map(session_of, self.recordings)]
+        paths, names = [*map(str, self.recordings)], [*map(session_of, self.existing + self.recordings)]
         if isinstance(executor, LocalProcesses) and len(paths) > 1:  # compile once, where it is logged
             with suppress(SlipflowError, OSError):  # the replay of this recording reports it
                 CompiledFlow(replayed(self.flow, open_recording(self.recordings[0], log.debug)))
@@ -209,7 +209,7 @@ def replay(source: FlowSource, path: str) -> Replayed:
 
 
 def recordings(paths: Iterable[Path]) -> list[Path]:
-    """Return the sessions and traces in `paths`; a dataset is replaced by all of its sessions, sorted.
+    """Return each session and trace in `paths` once; a dataset is replaced by its sessions, sorted.
 
     Raises:
         InputError: if a dataset has no session.
@@ -222,7 +222,7 @@ def recordings(paths: Iterable[Path]) -> list[Path]:
             found += folders
         else:
             raise InputError(str(path), "has no session: give a dataset, a session's folder, or a trace")
-    return found
+    return [*dict.fromkeys(found)]
 
 
 def session_of(recording: Path) -> str:
