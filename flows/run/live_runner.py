@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery
-from flows.graph.node import Node, check_extras, consumers
+from flows.graph.node import Node, check_extras, consumers, location
 from flows.run.clocks import STEP, LoopClock
 from flows.run.failures import contained, reason_of
 from flows.run.replay_runner import close_sinks, new_run
@@ -16,7 +16,7 @@ from flows.run.sink_queue import SinkQueue
 from flows.run.source_reader import SourceReader
 from flows.run.supervision import ALIVE, READY, STOPPING, notify_systemd
 from operators.batch import Batch, ms, s
-from operators.errors import OperatorError
+from operators.errors import OperatorError, SlipflowError
 from operators.ports import Clock, ClockStep, Run, SourceStatus
 
 CHECK_INTERVAL: Final = 1.0  # s, between two checks of the host's clock and of silent sources
@@ -118,13 +118,22 @@ class LiveRunner:
         try:
             # recorders last: else a sink that refuses would leave an empty session
             for queue in sorted(self._queues.values(), key=lambda each: each.sink.records):
-                with contained():
-                    await queue.sink.open(self.run)
+                await self._open(queue)
                 opened.append(queue)
         except BaseException as error:
             self.run.error = reason_of(error) if isinstance(error, Exception) else "was interrupted"
             await close_sinks((queue.sink for queue in opened), failed=True)
             raise
+
+    async def _open(self, queue: SinkQueue) -> None:
+        try:
+            with contained():
+                await queue.sink.open(self.run)
+        except SlipflowError:
+            raise
+        except Exception as error:
+            reason = reason_of(error) + location(queue.sink, error)
+            raise OperatorError(self.run.flow, queue.name, reason) from error
 
     async def _read_all(self, writers: Sequence[asyncio.Task[None]]) -> None:
         """Read the sources until they end, the duration is over, `stop` is called or a task fails.
