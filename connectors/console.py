@@ -60,4 +60,6 @@ class Console(Sink[Slips | Faults]):
 
 def _print(time: int, finger: int, text: str) -> None:
     line = f"{timestamp(time)[:23].replace('T', ' ')}  finger {finger_name(finger)}  {text}\n"
-    print(line, end="", flush=True)  # one write: other processes may print to the same stream
+    if sys.stdout:  # else the output is closed
+        sys.stdout.write(line)  # one write per line: other processes may print to the same stream
+        sys.stdout.flush()

@@ -7,7 +7,6 @@ import sys
 import traceback
 from contextlib import suppress
 from inspect import getdoc
-from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, NoReturn
 
@@ -105,8 +104,6 @@ def _options(
 
 def main() -> NoReturn:
     """Run the command line; an error that the user can fix is one line and exit code 2."""
-    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
-        sys.stdout.reconfigure(errors="backslashreplace")  # of characters that the terminal does not have
     try:
         code = app(standalone_mode=False, prog_name="slipflow")
         if sys.stdout:

@@ -118,22 +118,19 @@ class LiveRunner:
         try:
             # recorders last: else a sink that refuses would leave an empty session
             for queue in sorted(self._queues.values(), key=lambda each: each.sink.records):
-                await self._open(queue)
+                try:
+                    with contained():
+                        await queue.sink.open(self.run)
+                except SlipflowError:
+                    raise
+                except Exception as error:
+                    reason = reason_of(error) + location(queue.sink, error)
+                    raise OperatorError(self.run.flow, queue.name, reason) from error
                 opened.append(queue)
         except BaseException as error:
             self.run.error = reason_of(error) if isinstance(error, Exception) else "was interrupted"
             await close_sinks((queue.sink for queue in opened), failed=True)
             raise
-
-    async def _open(self, queue: SinkQueue) -> None:
-        try:
-            with contained():
-                await queue.sink.open(self.run)
-        except SlipflowError:
-            raise
-        except Exception as error:
-            reason = reason_of(error) + location(queue.sink, error)
-            raise OperatorError(self.run.flow, queue.name, reason) from error
 
     async def _read_all(self, writers: Sequence[asyncio.Task[None]]) -> None:
         """Read the sources until they end, the duration is over, `stop` is called or a task fails.

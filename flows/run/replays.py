@@ -7,7 +7,6 @@ can be repeated, on any machine, and an interrupted command continues with the m
 import asyncio
 import logging
 import sys
-from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, chdir, redirect_stdout, suppress
@@ -284,7 +283,7 @@ def _roots(flow: Flow) -> dict[Node, Path]:
 
 def _check_names(paths: Sequence[Path]) -> None:
     """Require that each recording has a name of its own, which becomes that of its session."""
-    often = Counter(map(session_of, paths))
-    same = [str(path) for path in paths if often[session_of(path)] > 1]
-    if same:
-        raise InputError(same[1], f"has the same name as {same[0]}: replay it into another dataset")
+    names = dict[str, Path]()
+    for path in paths:
+        if (first := names.setdefault(session_of(path), path)) is not path:
+            raise InputError(str(path), f"has the same name as {first}: replay it into another dataset")

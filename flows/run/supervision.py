@@ -24,10 +24,9 @@ def signals_to(stop: Callable[[], None]) -> Generator[None]:
     with suppress(RuntimeError, ValueError):  # not in the main thread
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             earlier = signal.getsignal(number)
-            if (number, earlier) == (signal.SIGHUP, signal.SIG_IGN):
-                continue
-            loop.add_signal_handler(number, stop)
-            before[number] = earlier
+            if number != signal.SIGHUP or earlier != signal.SIG_IGN:
+                loop.add_signal_handler(number, stop)
+                before[number] = earlier
     try:
         yield
     finally:

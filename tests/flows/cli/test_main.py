@@ -7,10 +7,8 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import redirect_stdout
 from ctypes import CFUNCTYPE
 from functools import partial
-from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from subprocess import PIPE
 from time import sleep
@@ -35,14 +33,6 @@ def test_output_that_cannot_be_written_is_one_line() -> None:
         done = subprocess.run([*SLIPFLOW, "--version"], stdout=full, stderr=PIPE, text=True, check=False)
     assert done.returncode == 2
     assert re.fullmatch("error: standard output: No space left on device; free some .*\n", done.stderr)
-
-
-def test_a_character_that_the_terminal_does_not_have_is_escaped(monkeypatch: pytest.MonkeyPatch) -> None:
-    out = TextIOWrapper(BytesIO(), "latin-1", write_through=True)
-    monkeypatch.setattr(main, "app", lambda **_: print("ü€"))
-    with redirect_stdout(out), pytest.raises(SystemExit):
-        main.main()
-    assert out.buffer.getvalue() == b"\xfc\\u20ac\n"
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ if __name__ == "__main__":
 def test_a_scheduler_that_does_not_answer_is_an_error(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("flows.run.executor._CONNECT_TIMEOUT", 0.2)
     if not url.startswith("tcp:"):
-        monkeypatch.setattr("distributed.Client", lambda *_, **__: pytest.fail())  # with such a URL it never ends
+        monkeypatch.delattr("distributed.Client")  # with such a URL it takes 20 s to end
     with (
         pytest.raises(EndpointError, match=f"^{url}: the Dask scheduler cannot be reached"),
         workers(cluster=url),
