@@ -60,5 +60,6 @@ class Console(Sink[Slips | Faults]):
 
 def _print(time: int, finger: int, text: str) -> None:
     line = f"{timestamp(time)[:23].replace('T', ' ')}  finger {finger_name(finger)}  {text}\n"
-    sys.stdout.write(line)  # one write per line: other processes may print to the same stream
-    sys.stdout.flush()
+    if sys.stdout:  # else the output is closed
+        sys.stdout.write(line)  # one write per line: other processes may print to the same stream
+        sys.stdout.flush()

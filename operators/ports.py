@@ -163,8 +163,8 @@ class Source(Endpoint, ABC, Generic[Given]):
         """Cells, layout, rate, unit and range of its fingertips; None: unknown, or not a touch stream."""
         return None
 
-    async def prepare(self) -> None:
-        """Do slow set-up, such as compilation, before a run and in `check`: open no device, do not block."""
+    def prepare(self) -> None:
+        """Do slow set-up, such as compilation, before a run and in `check`; open no device."""
         return
 
     @abstractmethod

@@ -1,6 +1,5 @@
 """Simulated rig: live sources of a fingertip, an arm and their ground truth."""
 
-import asyncio
 from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict, replace
 from functools import partial
@@ -66,11 +65,11 @@ class SimulatedSource(Source[AnyBatch]):
         """A TakkTile, or None if this is not touch."""
         return None if self._rate is None else replace(TAKKTILE, rate=self._rate)
 
-    async def prepare(self) -> None:
+    def prepare(self) -> None:
         """Compile the physics of strokes, which takes seconds the first time and less than one afterwards."""
         from connectors.sim.finger import compile_physics
 
-        await asyncio.to_thread(compile_physics)
+        compile_physics()
 
     def batches(self, clock: Clock) -> AsyncIterator[AnyBatch]:
         """Yield the rows."""

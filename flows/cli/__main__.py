@@ -33,8 +33,9 @@ def main() -> None:
 
     if not ignored:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    for number in (signal.SIGTERM, signal.SIGALRM):  # as Ctrl-C: unfinished output is deleted
-        signal.signal(number, signal.default_int_handler)
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):  # as Ctrl-C: unfinished output is deleted
+        if signal.getsignal(number) is not signal.SIG_IGN:  # of nohup
+            signal.signal(number, signal.default_int_handler)
     sys.unraisablehook = _raise_again
     run()
 

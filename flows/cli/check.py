@@ -1,6 +1,5 @@
 """The command `slipflow check`."""
 
-import asyncio
 from dataclasses import replace
 
 import typer
@@ -35,8 +34,6 @@ def check(target: Target, *, settings: Settings = None) -> None:
     if live:
         begin_log()
         CompiledFlow(flow)
-        for source in flow.sources().values():
-            asyncio.run(source.prepare())
     sources, sinks = (", ".join(node.name for node in nodes) for nodes in (flow.sources(), flow.sinks()))
     typer.echo(f"{flow.name}: OK (sources: {sources}; sinks: {sinks})")
     for name, each in declaration.parameters.items():

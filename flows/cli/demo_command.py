@@ -33,8 +33,6 @@ def demo(
       slipflow demo --for 1min
       slipflow demo --mqtt mqtt://localhost
     """
-    import asyncio
-
     from flows import demo as declared
     from flows.graph.quantity import parse_quantity
 
@@ -43,7 +41,7 @@ def demo(
     flow = declared.demo(str(out), mqtt)
     add_page(flow, browse=not no_browser)
     typer.echo(flow, err=True)
-    done = asyncio.run(execute(flow, limit))
+    done = execute(flow, limit)
     if not done.error:  # else it was stopped before it began: there is no session
         typer.echo("\n".join(report(out / "sessions" / done.session)))
         if mqtt:

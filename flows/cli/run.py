@@ -75,8 +75,6 @@ def run(
       slipflow run relabel --replay recordings --cluster tcp://127.0.0.1:8786
       slipflow run grip.py:gentle --replay trace.csv
     """
-    import asyncio
-
     from flows.graph.quantity import parse_quantity
     from flows.graph.validation import validate
 
@@ -100,7 +98,7 @@ def run(
     if metrics:
         add_metrics(flow, metrics)
     with redirect_stdout(sys.stderr if as_json else sys.stdout):
-        done = asyncio.run(execute(flow, limit))
+        done = execute(flow, limit)
     report_run(done, as_json=as_json)
 
 
@@ -111,17 +109,23 @@ def _refuse(options: Mapping[str, object], reason: str) -> None:
             raise typer.BadParameter(f"{name} is for {reason}")
 
 
-async def execute(flow: "Flow", limit: int | None = None) -> "Run":
+def execute(flow: "Flow", limit: int | None = None) -> "Run":
     """Run a flow live, for `limit` ns at most."""
+    import asyncio
     from datetime import UTC, datetime
 
+    from flows.graph.compiled_flow import CompiledFlow
     from flows.run.live_runner import LiveRunner
     from flows.run.supervision import signals_to
 
-    session = f"{flow.name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z"
-    live = LiveRunner(flow, session, duration=limit)
-    with signals_to(live.stop):
-        return await live.execute()
+    async def live() -> "Run":
+        session = f"{flow.name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z"
+        runner = LiveRunner(flow, session, duration=limit)
+        with signals_to(runner.stop):
+            return await runner.execute()
+
+    CompiledFlow(flow)  # here Ctrl-C ends a compilation at once; an event loop would complete it first
+    return asyncio.run(live())
 
 
 def report_run(run: "Run", *, as_json: bool) -> None:

@@ -106,7 +106,7 @@ class CompiledFlow:
     ('Debounce', array([2]), array([1]))
 
     Args:
-        flow: Declaration to compile.
+        flow: Declaration to compile, whose sources are prepared.
 
     Attributes:
         entries: Source nodes with their fingertips.
@@ -124,6 +124,8 @@ class CompiledFlow:
         self.entries = [(node, finger) for node in flow.sources() for finger in node.fingers]
         self._read = {parent for sink in flow.sinks() for parent in sink.inputs}  # nodes that sinks read from
         self._units = self._compiled(flow)
+        for source in flow.sources().values():
+            source.prepare()
         self._pushers = dict[tuple[Entry, ...], Push]()
         self.fingertips = sink_fingertips(flow)
         self.sink_types = {

@@ -181,10 +181,10 @@ class LocalProcesses(Executor):
 def _inherited_by_processes() -> Generator[None]:
     """Let processes that start in the block ignore signals, and use one thread for numpy's libraries.
 
-    Terminals and service managers send SIGINT and SIGTERM to all processes; only the parent must act on them.
+    Terminals and service managers send signals to all processes; only the parent must act on them.
     """
     ensure_running()  # else it starts with the first process and unblocks the signals again
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
     unset = [name for name in _THREADS if name not in os.environ]
     os.environ.update(dict.fromkeys(unset, "1"))
     try:
@@ -229,6 +229,7 @@ def _cluster(url: str) -> Generator[Executor]:
     distributed: Any = import_module("distributed")
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # the errors raised here say what failed
     try:
+        distributed.comm.resolve_address(url)  # else a client of a wrong URL takes 20 s to end
         client = distributed.Client(url, timeout=_CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         reason = f"the Dask scheduler cannot be reached: {error}"

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery
-from flows.graph.node import Node, check_extras, consumers
+from flows.graph.node import Node, check_extras, consumers, location
 from flows.run.clocks import STEP, LoopClock
 from flows.run.failures import contained, reason_of
 from flows.run.replay_runner import close_sinks, new_run
@@ -16,7 +16,7 @@ from flows.run.sink_queue import SinkQueue
 from flows.run.source_reader import SourceReader
 from flows.run.supervision import ALIVE, READY, STOPPING, notify_systemd
 from operators.batch import Batch, ms, s
-from operators.errors import OperatorError
+from operators.errors import OperatorError, SlipflowError
 from operators.ports import Clock, ClockStep, Run, SourceStatus
 
 CHECK_INTERVAL: Final = 1.0  # s, between two checks of the host's clock and of silent sources
@@ -91,9 +91,8 @@ class LiveRunner:
             SlipflowError: if a sink cannot be opened, an operator fails, a source breaks its contract or a
                 sink has a mistake in its code; earlier output is committed.
         """
-        prepared = await _unless(self._stop, self._prepare())
         self.run.start = self.clock.now()
-        if not prepared or not await _unless(self._abandoned, self._open_sinks()):
+        if not await _unless(self._abandoned, self._open_sinks()):
             self.run.error = "was stopped before it began"
             return self.run
         writers = [queue.start() for queue in self._queues.values()]
@@ -114,18 +113,19 @@ class LiveRunner:
                 raise OperatorError(self.run.flow, queue.name, self.run.error) from queue.mistake
         return self.run
 
-    async def _prepare(self) -> None:
-        for source in self._sources.values():
-            with contained():
-                await source.prepare()
-
     async def _open_sinks(self) -> None:
         opened: list[SinkQueue] = []
         try:
             # recorders last: else a sink that refuses would leave an empty session
             for queue in sorted(self._queues.values(), key=lambda each: each.sink.records):
-                with contained():
-                    await queue.sink.open(self.run)
+                try:
+                    with contained():
+                        await queue.sink.open(self.run)
+                except SlipflowError:
+                    raise
+                except Exception as error:
+                    reason = reason_of(error) + location(queue.sink, error)
+                    raise OperatorError(self.run.flow, queue.name, reason) from error
                 opened.append(queue)
         except BaseException as error:
             self.run.error = reason_of(error) if isinstance(error, Exception) else "was interrupted"

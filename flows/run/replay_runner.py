@@ -5,7 +5,7 @@ import logging
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
-from itertools import chain, islice
+from itertools import islice
 from typing import Any, cast
 
 import numpy as np
@@ -136,10 +136,7 @@ class ReplayRunner:
             (node, finger): self._recording.read(cast("Source[Any]", node.part).kind, finger, self._rows)
             for node, finger in self.compiled.entries
         }
-        slices = in_slices(recorded)
-        if (first := next(slices, None)) is None:
-            raise InputError(self._recording.name, "is empty: it has no rows to replay")
-        self._clock.newest = self.run.start = min(int(batch.time[0]) for batch in first.values())
+        self._clock.newest = self.run.start = first_time(self._flow, self._recording)
         opened: list[Sink[Any]] = []
         try:
             for sink in self._flow.sinks().values():
@@ -147,7 +144,7 @@ class ReplayRunner:
                     await sink.open(self.run)
                 opened.append(sink)
             filters = defaultdict[Entry, LateRowFilter](LateRowFilter)  # they only count
-            for batches in chain([first], slices):
+            for batches in in_slices(recorded):
                 deliveries = self.compiled.push(batches)
                 for entry, batch in batches.items():
                     status = self.run.sources[entry[0].name]

@@ -7,7 +7,6 @@ can be repeated, on any machine, and an interrupted command continues with the m
 import asyncio
 import logging
 import sys
-from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, chdir, redirect_stdout, suppress
@@ -151,7 +150,7 @@ class Replays:
             raise FlowError(self.flow.name, ", ".join(exclusive), reason)
         local = executor is None or isinstance(executor, LocalProcesses)
         source = self._source if local else self._source.with_files()
-        paths, names = [*map(str, self.recordings)], [*map(session_of, self.recordings)]
+        paths, names = [*map(str, self.recordings)], [*map(session_of, self.existing + self.recordings)]
         if isinstance(executor, LocalProcesses) and len(paths) > 1:  # compile once, where it is logged
             with suppress(SlipflowError, OSError):  # the replay of this recording reports it
                 CompiledFlow(replayed(self.flow, open_recording(self.recordings[0], log.debug)))
@@ -209,7 +208,7 @@ def replay(source: FlowSource, path: str) -> Replayed:
 
 
 def recordings(paths: Iterable[Path]) -> list[Path]:
-    """Return the sessions and traces in `paths`; a dataset is replaced by all of its sessions, sorted.
+    """Return each session and trace in `paths` once; a dataset is replaced by its sessions, sorted.
 
     Raises:
         InputError: if a dataset has no session.
@@ -222,7 +221,7 @@ def recordings(paths: Iterable[Path]) -> list[Path]:
             found += folders
         else:
             raise InputError(str(path), "has no session: give a dataset, a session's folder, or a trace")
-    return found
+    return [*dict.fromkeys(found)]
 
 
 def session_of(recording: Path) -> str:
@@ -284,7 +283,7 @@ def _roots(flow: Flow) -> dict[Node, Path]:
 
 def _check_names(paths: Sequence[Path]) -> None:
     """Require that each recording has a name of its own, which becomes that of its session."""
-    often = Counter(map(session_of, paths))
-    same = [str(path) for path in paths if often[session_of(path)] > 1]
-    if same:
-        raise InputError(same[1], f"has the same name as {same[0]}: replay it into another dataset")
+    names = dict[str, Path]()
+    for path in paths:
+        if (first := names.setdefault(session_of(path), path)) is not path:
+            raise InputError(str(path), f"has the same name as {first}: replay it into another dataset")

@@ -15,17 +15,18 @@ STOPPING: Final = "STOPPING=1"  # the service ends; the watchdog stops
 
 @contextmanager
 def signals_to(stop: Callable[[], None]) -> Generator[None]:
-    """Call `stop` in the running event loop on each Ctrl-C and SIGTERM; then restore the earlier handlers.
+    """Call `stop` in the running event loop on each Ctrl-C, SIGTERM and SIGHUP; then restore the handlers.
 
-    `remove_signal_handler` alone would restore the default, which for most signals ends the process. Has no
-    effect outside the main thread.
+    A terminal that closes sends SIGHUP; under nohup it stays ignored. `remove_signal_handler` alone would
+    restore the default, which for most signals ends the process. Has no effect outside the main thread.
     """
     loop, before = asyncio.get_running_loop(), dict[signal.Signals, Any]()
     with suppress(RuntimeError, ValueError):  # not in the main thread
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             earlier = signal.getsignal(number)
-            loop.add_signal_handler(number, stop)
-            before[number] = earlier
+            if number != signal.SIGHUP or earlier != signal.SIG_IGN:
+                loop.add_signal_handler(number, stop)
+                before[number] = earlier
     try:
         yield
     finally:

@@ -43,3 +43,8 @@ def test_each_slip_and_fault_is_one_line(run: Run) -> None:
     run.live = False
     onset, _ = printed(io.StringIO(), run, slips(0, EVERY))
     assert onset == "1970-01-01 00:00:00.000  finger every  slip onset  p 0.93"
+
+
+async def test_events_without_a_standard_output_are_not_an_error() -> None:
+    with redirect_stdout(None):
+        await Console().write(FAULTS)

@@ -22,7 +22,7 @@ def test_check_prepares_the_sources_as_a_run_does(tmp_path: Path) -> None:
     path.write_text(
         "from flows.graph import Flow\nfrom flows.graph.testing import TestSink, TestSource\n"
         "from operators import Touch\n"
-        "class Own(TestSource):\n    async def prepare(self):\n        print('prepared')\n"
+        "class Own(TestSource):\n    def prepare(self):\n        print('prepared')\n"
         "flow = Flow('own')\nflow.source(Own(Touch)).to(TestSink())\n"
     )
     assert "\nprepared\nown: OK" in slipflow("check", str(path)).stdout

@@ -50,12 +50,13 @@ def test_a_terminated_command_deletes_its_unfinished_output(
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)  # restored
     monkeypatch.setattr("flows.lab.simulation._record", terminate)
     monkeypatch.setattr(sys, "argv", ["slipflow", "simulate", str(tmp_path / "out"), "--jobs", "1"])
-    before = signal.getsignal(signal.SIGTERM)
+    before = [(number, signal.getsignal(number)) for number in (signal.SIGTERM, signal.SIGHUP)]
     try:
         with pytest.raises(SystemExit) as ended:
             __main__.main()
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before:
+            signal.signal(number, handler)
     assert ended.value.code == 130
     assert [*tmp_path.iterdir()] == []
 

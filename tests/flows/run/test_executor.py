@@ -91,11 +91,14 @@ if __name__ == "__main__":
     wait_until(lambda: ended(int(place.read_text())))
 
 
-def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("url", ["tcp://127.0.0.1:1", "127.0.0.1", "http://127.0.0.1:1"])
+def test_a_scheduler_that_does_not_answer_is_an_error(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("flows.run.executor._CONNECT_TIMEOUT", 0.2)
+    if not url.startswith("tcp:"):
+        monkeypatch.delattr("distributed.Client")  # with such a URL it takes 20 s to end
     with (
-        pytest.raises(EndpointError, match=r"^tcp://127\.0\.0\.1:1: the Dask scheduler cannot be reached"),
-        workers(cluster="tcp://127.0.0.1:1"),
+        pytest.raises(EndpointError, match=f"^{url}: the Dask scheduler cannot be reached"),
+        workers(cluster=url),
     ):
         pass
 

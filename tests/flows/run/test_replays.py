@@ -133,6 +133,9 @@ def test_a_repeated_task_changes_nothing_and_another_flow_is_refused(
     out = tmp_path / "out"
     [first] = replay(felt, four[:1], out)
     before, same = contents(out), source(felt, out=str(out))
+    (out / ".partial" / four[0].name).mkdir(parents=True)  # of a worker killed at its end
+    assert list(Replays(same, four[:1]).run()) == []
+    assert not (out / ".partial").exists()
     again = Replays(same, four[:2])
     assert (again.existing, again.recordings) == (four[:1], four[1:2])
     assert replay_task(same, str(four[0])) == first  # as after the loss of the worker that had finished it
@@ -186,9 +189,11 @@ def test_a_replay_by_other_code_or_without_a_declaration_is_not_taken_for_done(
 
 
 def test_recordings_of_one_name_need_two_datasets(felt: str, four: list[Path], tmp_path: Path) -> None:
-    other = copytree(four[0], tmp_path / four[0].name)
-    with pytest.raises(InputError, match=r"has the same name as .*: replay it into another dataset"):
-        Replays(source(felt, out=str(tmp_path / "out")), [four[0], other])
+    others = [copytree(path, tmp_path / path.name) for path in four[1::-1]]
+    with pytest.raises(InputError) as raised:
+        Replays(source(felt, out=str(tmp_path / "out")), [*four[:2], *others])
+    expected = f"{others[0]}: has the same name as {four[1]}: replay it into another dataset"
+    assert str(raised.value) == expected
 
 
 def test_a_failed_sink_ends_its_replay_without_session(felt: str, four: list[Path], tmp_path: Path) -> None:
@@ -222,9 +227,9 @@ def test_a_flow_with_a_sink_for_live_runs_is_refused(felt: str, four: list[Path]
     assert Gripper.live_only
 
 
-def test_a_dataset_names_its_sessions_in_order(dataset: Path, tmp_path: Path) -> None:
+def test_a_dataset_names_its_sessions_in_order_and_repeated_ones_once(dataset: Path, tmp_path: Path) -> None:
     trace, gone = tmp_path / "trace.csv", tmp_path / "gone"
-    found = recordings([trace, dataset, gone])
+    found = recordings([trace, dataset, gone, *dataset.glob("sessions/1*"), trace])
     assert found == [trace, *(session_folder(dataset, name) for name in session_names(dataset)), gone]
     (tmp_path / "empty/sessions").mkdir(parents=True)
     with pytest.raises(InputError, match="empty: has no session"):

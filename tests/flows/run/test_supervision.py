@@ -17,7 +17,7 @@ from operators import Clock, EndpointError, Scores, s
 from tests.flows.run.live import Endless, execute, flow_of, scores
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 async def test_each_signal_calls_stop_in_the_block_and_is_handled_as_before(number: signal.Signals) -> None:
     before, called = signal.getsignal(number), asyncio.Semaphore(0)
     with signals_to(called.release):
@@ -28,14 +28,19 @@ async def test_each_signal_calls_stop_in_the_block_and_is_handled_as_before(numb
     assert not asyncio.get_running_loop().remove_signal_handler(number), "it is gone already"
 
 
-async def test_a_signal_that_was_ignored_before_is_ignored_again_after_the_block() -> None:
-    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+async def test_a_signal_that_was_ignored_before_is_ignored_again_after_the_block(
+    number: signal.Signals,
+) -> None:
+    before = signal.signal(number, signal.SIG_IGN)
     try:
-        with signals_to(asyncio.Event().set):
-            pass
-        os.kill(os.getpid(), signal.SIGTERM)  # would end this process
+        with signals_to(pytest.fail):
+            if number == signal.SIGHUP:  # nohup
+                os.kill(os.getpid(), number)
+                await asyncio.sleep(0.01)
+        os.kill(os.getpid(), number)  # would end this process
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(number, before)
 
 
 def test_signals_are_left_alone_in_another_thread() -> None:
