@@ -47,6 +47,7 @@ _FORMS: Final = {  # that texts of times are brought into before they are parsed
 _ORDERS: Final = {"ymd": "%Y-%m-%d", "dmy": "%d-%m-%Y", "mdy": "%m-%d-%Y"}
 _CLOCKS: Final = ("%H:%M:%S%.f", "%I:%M:%S%.f %p", "%H:%M", "%I:%M %p")
 _DATE: Final = "a date and time such as 2025-03-26 14:29:06.01 (or state time=,rate=...)"
+_DAYS: Final = r"^(-?\d{1,5}) days?,? \+?"  # of a duration, as pandas and Python write it
 _YEAR: Final = r"(?:^|-)(?:19[7-9]\d|2[01]\d\d|22[0-5]\d|226[01])[- ]"  # of times in ns
 
 
@@ -67,7 +68,8 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
     column = table.columns[name]
     if dates:
         clock = column.dt.to_string("%H:%M:%S%.9f") if column.dtype == pl.Time else column.cast(pl.String)
-        column = table.columns[dates[0]].cast(pl.String).str.replace(" 00:00:00.*", "") + " " + clock
+        day = table.columns[dates[0]].cast(pl.String).str.replace(rf"[T_,; ]+{CLOCK}.*", "")
+        column = day + " " + clock
     texts = is_text_of_time(column)
     textual = texts or column.dtype.is_temporal()
     order = columns.dates or (date_order(table, (dates or [name])[0]) if texts else "ymd")
@@ -245,8 +247,13 @@ def _rounded(column: pl.Series, unit: str) -> pl.Series:
 
 
 def of_texts(column: pl.Series, order: str) -> pl.Series:
-    """Return dates (since 1970 UTC) and times of day as ns; null for other texts, and for impossible days."""
+    """Return dates (since 1970 UTC), times of day and durations such as ``1 days 00:00:00.01`` as ns.
+
+    Null for other texts, and for impossible days.
+    """
     text = column.str.strip_chars()
+    days = text.str.extract(_DAYS).cast(pl.Int64).fill_null(0)
+    text = text.str.replace(_DAYS, "")
     for pattern, form in _FORMS.items():
         text = text.str.replace(pattern, form)
     found = pl.Series([None], dtype=pl.Int64).new_from_index(0, len(text))
@@ -255,4 +262,4 @@ def of_texts(column: pl.Series, order: str) -> pl.Series:
             utc = "UTC" if zone else None
             time = text.str.to_datetime(f"{day} {clock}{zone}", time_unit="ns", time_zone=utc, strict=False)
             found = found.fill_null(time.to_physical())
-    return found.set(~text.str.contains(_YEAR), None)
+    return found.set(~text.str.contains(_YEAR), None) + days * (24 * 3600 * s)

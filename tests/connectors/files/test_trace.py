@@ -293,6 +293,13 @@ def test_a_suggestion_for_labels_does_not_guess_which_word_is_slip(
         _ = Trace(path).part.touch
 
 
+def test_a_suggestion_does_not_list_many_labels(write: Write) -> None:
+    path = write(f"{HEADER},label", *(f"{k / 100},1,2,3,4,5,6,w{k}" for k in range(300)))
+    with pytest.raises(InputError, match=r"labels\.unknown=WORD$") as error:
+        _ = Trace(path, ColumnMap.parse("labels.slip=w1,labels.static=w2")).part.touch
+    assert len(str(error.value)) < 500
+
+
 def test_labels_of_slip_alone_are_a_warning(write: Write) -> None:
     for value, warned in (("", True), ("none", True), ("static", False)):
         path = write(f"{HEADER},label", "0,1,2,3,4,5,6,slip", f"1,1,2,3,4,5,6,{value}")
