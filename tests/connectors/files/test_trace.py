@@ -262,7 +262,7 @@ def test_the_real_trace_is_read_whole() -> None:
     [
         ("", ["0", "1", "-1", "", "Slip", "static", "TRUE", "1.0"], [0, 1, -1, -1, 1, 0, 1, 1]),
         ("", ["Rutschen", "rutscht", "Haften", "haftet", "unbekannt"], [1, 1, 0, 0, -1]),
-        ("", ["ja", "nein", "Yes", "no"], [1, 0, 1, 0]),
+        ("", ["ja", "nein", "Yes", "no", "unlabeled"], [1, 0, 1, 0, -1]),
         ("labels.static=stuck,1", ["stuck", "slip", "1", "?"], [0, 1, 0, -1]),
         ("labels.slip=1,2", ["0", "1", "2", "7", "", "2.0", "x", "nan"], [0, 1, 1, 0, -1, 1, 0, -1]),
         ("labels.slip=north,labels.static=none,labels.unknown=?", ["North", "none", "?", ""], [1, 0, -1, -1]),
