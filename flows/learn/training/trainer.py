@@ -189,10 +189,11 @@ def _from_random(
             raise _unusable(datasets, f"five recordings or more, or some with a {split} split")
     judged = {split: parts[split] for split in ("validation", "test") if parts[split]}
     for split, recordings in judged.items():  # without labels there is no accuracy
-        if not any(len(recording.known(1)) for recording in recordings):
-            sampling = recordings[0].sampling
-            warm_up = sampling.warm_up * sampling.period / s
-            raise _unusable(datasets, f"{split} recordings with labels after their warm-up of {warm_up:g} s")
+        sampling = recordings[0].sampling
+        first = max(sampling.warm_up, recipe.receptive_field - 1)  # sample that has a score
+        if not any((recording.known(1) >= first).any() for recording in recordings):
+            warm_up = first * sampling.period / s
+            raise _unusable(datasets, f"{split} recordings with labels after their warm-up of {warm_up:.3g} s")
     fingertip = parts["train"][0].fingertip
     if isinstance(recipe, Recipe):
         trained = train_dense(parts["train"], judged["validation"], recipe, progress)
@@ -227,7 +228,7 @@ def _from_model(
     if not held_out:
         parts = _in_time(learned, _FURTHER_SHARES)
         learned, held_out = parts["train"], parts["test"]
-    if not any(len(each.known(1)) for each in held_out):
+    if not any((each.known(1) >= parent.length - 1).any() for each in held_out):
         names = ", ".join(each.name for each in held_out)
         raise InputError(names, "is too short to hold out a part: record three sessions or longer ones")
     if not {SLIP, STATIC} <= set(np.concatenate([each.label for each in learned]).tolist()):
