@@ -27,7 +27,7 @@ from flows.learn.training.trained_model import (
     repeated,
     write_model,
 )
-from operators.batch import SLIP, STATIC, UNKNOWN, Flags, Reals, s
+from operators.batch import SLIP, UNKNOWN, Flags, Reals, s
 from operators.detectors import TRAINED, Detector, Tcn
 from operators.detectors.weights import ForOneFingertip
 from operators.errors import InputError, ParameterError
@@ -193,7 +193,9 @@ def _from_random(
         first = max(sampling.warm_up, recipe.receptive_field - 1)  # sample that has a score
         if not any((recording.known(1) >= first).any() for recording in recordings):
             warm_up = first * sampling.period / s
-            raise _unusable(datasets, f"{split} recordings with labels after their warm-up of {warm_up:.3g} s")
+            raise _unusable(
+                datasets, f"{split} recordings with labels after their warm-up of {warm_up:.3g} s"
+            )
     fingertip = parts["train"][0].fingertip
     if isinstance(recipe, Recipe):
         trained = train_dense(parts["train"], judged["validation"], recipe, progress)
@@ -231,9 +233,6 @@ def _from_model(
     if not any((each.known(1) >= parent.length - 1).any() for each in held_out):
         names = ", ".join(each.name for each in held_out)
         raise InputError(names, "is too short to hold out a part: record three sessions or longer ones")
-    if not {SLIP, STATIC} <= set(np.concatenate([each.label for each in learned]).tolist()):
-        names = ", ".join(each.name for each in learned)
-        raise InputError(names, "lacks slip or static samples to learn from: add a recording that has both")
     trained = train_dense(learned, held_out, recipe, progress, parent)
     tcn = _detector(parent.name, trained.arrays, parent.fingertip)
     compared = {"before": parent, "after": tcn}
