@@ -27,7 +27,7 @@ from flows.learn.training.trained_model import (
     repeated,
     write_model,
 )
-from operators.batch import SLIP, UNKNOWN, Flags, Reals, s
+from operators.batch import SLIP, UNKNOWN, Flags, Reals
 from operators.detectors import TRAINED, Detector, Tcn
 from operators.detectors.weights import ForOneFingertip
 from operators.errors import InputError, ParameterError
@@ -192,10 +192,8 @@ def _from_random(
         sampling = recordings[0].sampling
         first = max(sampling.warm_up, recipe.receptive_field - 1)  # sample that has a score
         if not any((recording.known(1) >= first).any() for recording in recordings):
-            warm_up = first * sampling.period / s
-            raise _unusable(
-                datasets, f"{split} recordings with labels after their warm-up of {warm_up:.3g} s"
-            )
+            warm_up = f"{first / sampling.rate:.3g} s"
+            raise _unusable(datasets, f"{split} recordings with labels after their warm-up of {warm_up}")
     fingertip = parts["train"][0].fingertip
     if isinstance(recipe, Recipe):
         trained = train_dense(parts["train"], judged["validation"], recipe, progress)
