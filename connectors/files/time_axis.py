@@ -247,7 +247,7 @@ def _rounded(column: pl.Series, unit: str) -> pl.Series:
 
 
 def of_texts(column: pl.Series, order: str) -> pl.Series:
-    """Return dates (since 1970 UTC), times of day and durations as ns; null for others and impossible days."""
+    """Return dates (since 1970 UTC), times of day and durations as ns; null for other and impossible ones."""
     text = column.str.strip_chars()
     days = text.str.extract(_DAYS).cast(pl.Int64).fill_null(0)
     text = text.str.replace(_DAYS, "")

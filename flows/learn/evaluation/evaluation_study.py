@@ -1,6 +1,6 @@
 """`slipflow evaluate`: detectors compared on recordings that none of them was fitted to."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -102,25 +102,21 @@ def evaluate(
     notes = repeated(recordings, [getattr(each, parts) for each in recordings]) if split != EVERY else []
     tasks = [(each, fold) for each in candidates for fold in folds]
     found = judge_all(subject, tasks, executor=executor, progress=progress)
+    labelled = {each.name for each in chosen if len(each.known(1))}
+    answers = found.results.filter(pl.col("metric").is_in(CONFUSION), pl.col("value") > 0)
     for each in found.methods.values():
         if known := learned(each.card, chosen):
             notes.append(f"{each.name} has learned from {counted(len(known), 'recording')} of these")
-    notes += [*_unanswered(found.results, chosen), *filter(None, [hand_label_summary(chosen)])]
+        if silent := labelled - {*answers.filter(method=each.name)["recording"]}:
+            many = counted(len(silent), "recording")
+            notes.append(f"{each.name} gave no probability at any labelled sample of {many}")
+    notes += filter(None, [hand_label_summary(chosen)])
     if speed:
         detectors = {name: method.detector for name, method in found.methods.items()}
         found = replace(found, speeds=speed_results(detectors, chosen, span=speed))
     true = all(each.sliding is not None for each in chosen)
     label = joined(map(_label_results, chosen) if true else ())
     return replace(found, notes=notes, label=label, as_paper=all(each.plan == "paper" for each in chosen))
-
-
-def _unanswered(results: pl.DataFrame, judged: Iterable[LabelledRecording]) -> Iterator[str]:
-    """Yield a line for each method that gave no probability at the labelled samples of some recordings."""
-    labelled = [each.name for each in judged if len(each.known(1))]
-    counts = results.filter(pl.col("metric").is_in(CONFUSION), pl.col("recording").is_in(labelled))
-    samples = counts.group_by("method", "recording").agg(pl.sum("value"))
-    for name, many in samples.filter(value=0).group_by("method").len().sort("method").rows():
-        yield f"{name} gave no probability at any labelled sample of {counted(many, 'recording')}"
 
 
 def judge_all(
