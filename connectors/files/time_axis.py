@@ -32,7 +32,6 @@ _WRAPS: Final[Mapping[int, str]] = {  # ns: after which clocks start again at 0
     65_536_000_000: "16-bit clock of milliseconds",
     86_400_000_000_000: "time of day",
 }
-_LIMIT: Final = float(1 << 63)  # ns
 _EPOCHS: Final = (9e8, 4.2e9)  # s; from 1998 to 2103
 _DIGITS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}  # decimal places of a time, down to 1 ns
 CLOCK: Final = r"\d{1,2}:\d{2}"
@@ -68,8 +67,7 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
     column = table.columns[name]
     if dates:
         clock = column.dt.to_string("%H:%M:%S%.9f") if column.dtype == pl.Time else column.cast(pl.String)
-        day = table.columns[dates[0]].cast(pl.String).str.replace(rf"[T_,; ]+{CLOCK}.*", "")
-        column = day + " " + clock
+        column = table.columns[dates[0]].cast(pl.String).str.replace(rf"([T_,; ]+{CLOCK}.*)?$", " ") + clock
     texts = is_text_of_time(column)
     textual = texts or column.dtype.is_temporal()
     order = columns.dates or (date_order(table, (dates or [name])[0]) if texts else "ymd")
@@ -241,7 +239,7 @@ def _rounded(column: pl.Series, unit: str) -> pl.Series:
         values = column.fill_null(np.nan).to_numpy() * UNITS[TIME][unit]
     if unit == "ns":
         values = np.where(values == np.rint(values), values, np.nan)
-    good = np.abs(values) < _LIMIT
+    good = np.abs(values) < float(1 << 63)
     whole = pl.Series(np.rint(np.where(good, values, 0)).astype(np.int64))
     return whole.set(~pl.Series(good), None)
 
