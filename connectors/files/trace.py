@@ -99,9 +99,9 @@ class Trace:
         }
         about |= {"labelled": found.labelled} if found.labelled else {}
         about |= {"missing": [*found.missing]} if found.missing else {}
-        about |= {"offset": [int(each) for each in part.offset]} if part.offset.any() else {}
         if LABEL in found.columns and found.labels:
             about["labels"] = {name: list(values) for name, values in found.labels.items()}
+        about |= {"offset": [int(each) for each in part.offset]} if part.offset.any() else {}
         return about
 
 
