@@ -21,22 +21,20 @@ LIMIT: Final = 1 << 29  # bytes of a file, packed or unpacked
 _PARQUET: Final = b"PAR1"
 _GZIP: Final = b"\x1f\x8b"
 _PYTHON: Final = "read it in Python ({}) and pass a DataFrame to import_frame, see docs/how-to/import.md"
+_ARRAYS: Final = _PYTHON.format("arrays.py")
 _BINARY: Final = rb"(?=(?s:.{0,63})[\0-\x08\x0e-\x1f])"  # no text: a column may be named like a format
 _OTHERS: Final[dict[bytes, tuple[str, str]]] = {  # name and remedy by the first bytes of other formats
     rb"\x89MCAP0": ("an MCAP file", _PYTHON.format("mcap_json.py, or bag.py for ROS messages")),
     rb"SQLite format 3": ("a ROS 2 bag or another SQLite file", _PYTHON.format("bag.py")),
     rb"#ROSBAG": ("a ROS 1 bag", _PYTHON.format("bag.py")),
     rb"(?s:(?<=\.xlsx\n)PK|PK\x03\x04.*xl/)": ("an Excel file", "save it as CSV"),
-    rb"(?s:(?<=\.npz\n)PK|PK\x03\x04.*\.npy)": ("an NPZ file", _PYTHON.format("arrays.py")),
+    rb"(?s:(?<=\.npz\n)PK|PK\x03\x04.*\.npy)": ("an NPZ file", _ARRAYS),
     rb"PK\x03\x04": ("a ZIP file", "unpack it"),
     rb"\xd0\xcf\x11\xe0": ("an old Excel file", "save it as CSV"),
-    rb"\x89HDF": ("an HDF5 file", _PYTHON.format("arrays.py")),
-    rb"MATLAB 7\.3": ("a MATLAB file of version 7.3, which is HDF5", _PYTHON.format("arrays.py")),
-    rb"MATLAB 5\.0|(?s:[\0-\4]\0\0\0.{12}[\1-\40]\0\0\0[\w]+\0)": (
-        "a MATLAB file",
-        _PYTHON.format("arrays.py"),
-    ),
-    rb"\x93NUMPY": ("an array of numpy", _PYTHON.format("arrays.py")),
+    rb"\x89HDF": ("an HDF5 file", _ARRAYS),
+    rb"MATLAB 7\.3": ("a MATLAB file of version 7.3, which is HDF5", _ARRAYS),
+    rb"MATLAB 5\.0|(?s:[\0-\4]\0\0\0.{12}[\1-\40]\0\0\0[\w]+\0)": ("a MATLAB file", _ARRAYS),
+    rb"\x93NUMPY": ("an array of numpy", _ARRAYS),
     rb"%b(ARROW1|FEA1)" % _BINARY: ("a Feather or Arrow file", _PYTHON.format("polars.read_ipc")),
     rb"\x80[\2-\5]": ("a pickle of Python", _PYTHON.format("pandas.read_pickle, if you trust its origin")),
     rb"\s*(\{\s*[\"}]|\[(?![^\[,]*\].)\s*[\[{\"\d-])": ("a JSON file", _PYTHON.format("polars.read_json")),

@@ -137,7 +137,8 @@ def _labels(table: RawTable, columns: ColumnMap) -> Codes:
         place = table.place_of(int(found.is_null().arg_true()[0]), name)
         text = f"has {listed}, neither slip nor static by"
         if columns.labels:
-            fix = f"labels.unknown={','.join((*columns.labels.get('unknown', ()), *words))}"
+            more = words if len(words) <= _WORDS_SHOWN else ["WORD"]
+            fix = f"labels.unknown={','.join((*columns.labels.get('unknown', ()), *more))}"
             table.add_problem(f"{text} the map; state {fix}", place, fix=fix)
         else:
             usual = [text for text in codes if known.get(label_value(text)) == "slip"]

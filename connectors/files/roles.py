@@ -54,7 +54,7 @@ _WORDS: Final = {  # usual values of labels
         "slip": "slip|slipping|sliding|slide|rutscht|rutschen|gleiten|gleitet|1|true|ja|yes",
         "static": "static|no slip|no_slip|noslip|stick|stable|rest|hold|still|haften|haftet|ruhe|0|false"
         "|nein|no",
-        "unknown": "unknown|-1|unbekannt|?",
+        "unknown": "unknown|unlabeled|unlabelled|-1|unbekannt|?",
     }.items()
 }
 SLIP_WORD: Final = re.compile("slip|slid|rutsch|gleit|schlupf", re.IGNORECASE)

@@ -32,7 +32,6 @@ _WRAPS: Final[Mapping[int, str]] = {  # ns: after which clocks start again at 0
     65_536_000_000: "16-bit clock of milliseconds",
     86_400_000_000_000: "time of day",
 }
-_LIMIT: Final = float(1 << 63)  # ns
 _EPOCHS: Final = (9e8, 4.2e9)  # s; from 1998 to 2103
 _DIGITS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}  # decimal places of a time, down to 1 ns
 CLOCK: Final = r"\d{1,2}:\d{2}"
@@ -47,6 +46,7 @@ _FORMS: Final = {  # that texts of times are brought into before they are parsed
 _ORDERS: Final = {"ymd": "%Y-%m-%d", "dmy": "%d-%m-%Y", "mdy": "%m-%d-%Y"}
 _CLOCKS: Final = ("%H:%M:%S%.f", "%I:%M:%S%.f %p", "%H:%M", "%I:%M %p")
 _DATE: Final = "a date and time such as 2025-03-26 14:29:06.01 (or state time=,rate=...)"
+_DAYS: Final = r"^(-?\d{1,5}) days?,? \+?"  # of a duration, as pandas and Python write it
 _YEAR: Final = r"(?:^|-)(?:19[7-9]\d|2[01]\d\d|22[0-5]\d|226[01])[- ]"  # of times in ns
 
 
@@ -67,7 +67,7 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
     column = table.columns[name]
     if dates:
         clock = column.dt.to_string("%H:%M:%S%.9f") if column.dtype == pl.Time else column.cast(pl.String)
-        column = table.columns[dates[0]].cast(pl.String).str.replace(" 00:00:00.*", "") + " " + clock
+        column = table.columns[dates[0]].cast(pl.String).str.replace(rf"([T_,; ]+{CLOCK}.*)?$", " ") + clock
     texts = is_text_of_time(column)
     textual = texts or column.dtype.is_temporal()
     order = columns.dates or (date_order(table, (dates or [name])[0]) if texts else "ymd")
@@ -239,14 +239,16 @@ def _rounded(column: pl.Series, unit: str) -> pl.Series:
         values = column.fill_null(np.nan).to_numpy() * UNITS[TIME][unit]
     if unit == "ns":
         values = np.where(values == np.rint(values), values, np.nan)
-    good = np.abs(values) < _LIMIT
+    good = np.abs(values) < float(1 << 63)
     whole = pl.Series(np.rint(np.where(good, values, 0)).astype(np.int64))
     return whole.set(~pl.Series(good), None)
 
 
 def of_texts(column: pl.Series, order: str) -> pl.Series:
-    """Return dates (since 1970 UTC) and times of day as ns; null for other texts, and for impossible days."""
+    """Return dates (since 1970 UTC), times of day and durations as ns; null for other and impossible ones."""
     text = column.str.strip_chars()
+    days = text.str.extract(_DAYS).cast(pl.Int64).fill_null(0)
+    text = text.str.replace(_DAYS, "")
     for pattern, form in _FORMS.items():
         text = text.str.replace(pattern, form)
     found = pl.Series([None], dtype=pl.Int64).new_from_index(0, len(text))
@@ -255,4 +257,4 @@ def of_texts(column: pl.Series, order: str) -> pl.Series:
             utc = "UTC" if zone else None
             time = text.str.to_datetime(f"{day} {clock}{zone}", time_unit="ns", time_zone=utc, strict=False)
             found = found.fill_null(time.to_physical())
-    return found.set(~text.str.contains(_YEAR), None)
+    return found.set(~text.str.contains(_YEAR), None) + days * (24 * 3600 * s)

@@ -101,8 +101,7 @@ class Trace:
         about |= {"missing": [*found.missing]} if found.missing else {}
         if LABEL in found.columns and found.labels:
             about["labels"] = {name: list(values) for name, values in found.labels.items()}
-        if part.offset.any():
-            about["offset"] = [int(each) for each in part.offset]
+        about |= {"offset": [int(each) for each in part.offset]} if part.offset.any() else {}
         return about
 
 

@@ -1,7 +1,7 @@
 """Labelled recordings: counts and labels of one fingertip, which detectors are trained and evaluated on."""
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
 from pathlib import Path
@@ -286,9 +286,8 @@ def hand_label_summary(recordings: Iterable[LabelledRecording]) -> str:
     return text if marked else ""
 
 
-def by_split(recordings: Iterable[LabelledRecording]) -> dict[str, list[LabelledRecording]]:
+def by_split(recordings: Sequence[LabelledRecording]) -> dict[str, list[LabelledRecording]]:
     """Group recordings by split, in the order of `SPLITS`; omit recordings without a split."""
-    recordings = list(recordings)
     return {split: [each for each in recordings if each.split == split] for split in SPLITS}
 
 

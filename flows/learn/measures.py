@@ -19,7 +19,7 @@ AHEAD: Final = 150 * ms  # ns, largest lead over the arm-speed label; the arm's 
 SLIDING: Final = "sliding: "  # prefix of metrics and statistics against true sliding
 _BINS: Final = 10  # of the probability, for the calibration error
 _FAR: Final = "far: "  # prefix of the confusion far from any change of the label
-_CONFUSION: Final = ("static as static", "static as slip", "slip as static", "slip as slip")  # label, answer
+CONFUSION: Final = ("static as static", "static as slip", "slip as static", "slip as slip")  # label, answer
 _SLIP, _STATIC = "probability if slip", "probability if static"
 
 _Found: TypeAlias = dict[str, float | Reals]
@@ -167,7 +167,7 @@ def _known(recording: LabelledRecording, probability: Reals) -> Flags:
 
 def _confusion(recording: LabelledRecording, predicted: Flags, part: Flags, prefix: str = "") -> _Found:
     counts = confusion(predicted[part], recording.slip[part]).ravel().tolist()
-    return {prefix + name: count for name, count in zip(_CONFUSION, counts, strict=True)}
+    return {prefix + name: count for name, count in zip(CONFUSION, counts, strict=True)}
 
 
 def _events(true: TrueSlips, raised: Times, prefix: str = "") -> _Found:
@@ -196,7 +196,7 @@ def _of_confusion(compute: Callable[[Reals], Reals], prefix: str = "") -> Statis
     """Return a statistic of confusions (..., 2, 2)."""
 
     def of(total: Callable[[str], Reals]) -> Reals:
-        counts = np.stack([total(prefix + name) for name in _CONFUSION], axis=-1)
+        counts = np.stack([total(prefix + name) for name in CONFUSION], axis=-1)
         return compute(counts.reshape(*counts.shape[:-1], 2, 2))
 
     return of_sums(of)
@@ -204,7 +204,7 @@ def _of_confusion(compute: Callable[[Reals], Reals], prefix: str = "") -> Statis
 
 def _calibration(total: Callable[[str], Reals]) -> Reals:
     gaps = sum(np.abs(total(f"gap {number}")) for number in range(_BINS))
-    return 100 * ratio(np.asarray(gaps), sum((total(name) for name in _CONFUSION), np.zeros(1)))
+    return 100 * ratio(np.asarray(gaps), sum((total(name) for name in CONFUSION), np.zeros(1)))
 
 
 def _event_statistics(prefix: str = "") -> dict[str, Statistic]:

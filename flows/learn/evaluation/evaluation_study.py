@@ -21,7 +21,7 @@ from flows.learn.evaluation.methods import (
 )
 from flows.learn.event_metrics import DECISION, PAUSE
 from flows.learn.labelled_recordings import LabelledRecording, common_fingertip, hand_label_summary, load
-from flows.learn.measures import SHARES, judged
+from flows.learn.measures import CONFUSION, SHARES, judged
 from flows.learn.training.trained_model import learned, repeated
 from flows.report.results import estimates, joined
 from flows.report.table import counted
@@ -102,9 +102,14 @@ def evaluate(
     notes = repeated(recordings, [getattr(each, parts) for each in recordings]) if split != EVERY else []
     tasks = [(each, fold) for each in candidates for fold in folds]
     found = judge_all(subject, tasks, executor=executor, progress=progress)
+    labelled = {each.name for each in chosen if len(each.known(1))}
+    answers = found.results.filter(pl.col("metric").is_in(CONFUSION), pl.col("value") > 0)
     for each in found.methods.values():
         if known := learned(each.card, chosen):
             notes.append(f"{each.name} has learned from {counted(len(known), 'recording')} of these")
+        if silent := labelled - {*answers.filter(method=each.name)["recording"]}:
+            many = counted(len(silent), "recording")
+            notes.append(f"{each.name} gave no probability at any labelled sample of {many}")
     notes += filter(None, [hand_label_summary(chosen)])
     if speed:
         detectors = {name: method.detector for name, method in found.methods.items()}

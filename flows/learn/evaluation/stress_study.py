@@ -155,10 +155,13 @@ def _vibration(scene: Scene, value: float) -> Scene:
     return _changed(scene, "vibration", amplitude=scene.vibration.amplitude + value)
 
 
-def _scaled(scene: Scene, force: float = 1.0, speed: float = 1.0) -> Scene:
-    """Return a scene with all normal forces and the speed of its strokes multiplied."""
-    plan = cast("PaperStrokes", scene.plan)
-    return _changed(scene, "plan", force=force * plan.force, speed=plan.speed and speed * plan.speed)
+def _force(scene: Scene, value: float) -> Scene:
+    return _changed(scene, "plan", force=value * cast("PaperStrokes", scene.plan).force)
+
+
+def _speed(scene: Scene, value: float) -> Scene:
+    speed = cast("PaperStrokes", scene.plan).speed  # of strokes; rotations have none
+    return _changed(scene, "plan", speed=speed and value * speed)
 
 
 FIELDS: Final[Mapping[str, StressField]] = {
@@ -174,19 +177,8 @@ FIELDS: Final[Mapping[str, StressField]] = {
     "vibration": StressField(_vibration, (0, 1.5e-4, 3e-4, 4.5e-4, 9e-4), "more vibration", "mm", 1e3),
     "friction": StressField(_friction, (1, 0.7, 0.5, 0.3, 0.15), "friction", "x"),
     "stick_slip": StressField(_stick_slip, (1, 0.75, 0.5, 0.25, 0), "stick-slip", "x"),
-    "force": StressField(
-        lambda scene, x: _scaled(scene, force=x),
-        (1, 2, 4, 0.5, 0.25, 0.1),
-        "grip force",
-        "x",
-    ),
-    "slip_speed": StressField(
-        lambda scene, x: _scaled(scene, speed=x),
-        (1, 0.6, 0.4, 0.2, 0.08),
-        "slip speed",
-        "mm/s",
-        50,
-    ),
+    "force": StressField(_force, (1, 2, 4, 0.5, 0.25, 0.1), "grip force", "x"),
+    "slip_speed": StressField(_speed, (1, 0.6, 0.4, 0.2, 0.08), "slip speed", "mm/s", 50),
 }
 
 

@@ -27,7 +27,7 @@ from operators.batch import BAROMETERS, SLIP, UNKNOWN, Flags, Reals
 from operators.detectors.frequency_cnn import BINS, PARTS, PIXELS
 from operators.errors import InputError
 
-LENGTH: Final = 100  # samples of a window
+LENGTH: Final = PaperRecipe.receptive_field  # samples of a window
 _BLOCK: Final = 1024  # windows evaluated at once
 _ADAM_EPSILON: Final = 1e-7  # Keras's
 _TAPS: Final = 8

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import ClassVar, Final
 
 from operators.checks import check_above
 
@@ -90,3 +90,4 @@ class PaperRecipe:
     batch: int = 256  # windows
     dropout: float = 0.2  # probability
     seed: int = 0
+    receptive_field: ClassVar[int] = 100  # samples of a window

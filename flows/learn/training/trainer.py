@@ -27,7 +27,7 @@ from flows.learn.training.trained_model import (
     repeated,
     write_model,
 )
-from operators.batch import SLIP, STATIC, UNKNOWN, Flags, Reals, s
+from operators.batch import SLIP, UNKNOWN, Flags, Reals
 from operators.detectors import TRAINED, Detector, Tcn
 from operators.detectors.weights import ForOneFingertip
 from operators.errors import InputError, ParameterError
@@ -189,10 +189,11 @@ def _from_random(
             raise _unusable(datasets, f"five recordings or more, or some with a {split} split")
     judged = {split: parts[split] for split in ("validation", "test") if parts[split]}
     for split, recordings in judged.items():  # without labels there is no accuracy
-        if not any(len(recording.known(1)) for recording in recordings):
-            sampling = recordings[0].sampling
-            warm_up = sampling.warm_up * sampling.period / s
-            raise _unusable(datasets, f"{split} recordings with labels after their warm-up of {warm_up:g} s")
+        sampling = recordings[0].sampling
+        first = max(sampling.warm_up, recipe.receptive_field - 1)  # sample that has a score
+        if not any((recording.known(1) >= first).any() for recording in recordings):
+            warm_up = f"{first / sampling.rate:.3g} s"
+            raise _unusable(datasets, f"{split} recordings with labels after their warm-up of {warm_up}")
     fingertip = parts["train"][0].fingertip
     if isinstance(recipe, Recipe):
         trained = train_dense(parts["train"], judged["validation"], recipe, progress)
@@ -227,12 +228,9 @@ def _from_model(
     if not held_out:
         parts = _in_time(learned, _FURTHER_SHARES)
         learned, held_out = parts["train"], parts["test"]
-    if not any(len(each.known(1)) for each in held_out):
+    if not any((each.known(1) >= parent.length - 1).any() for each in held_out):
         names = ", ".join(each.name for each in held_out)
         raise InputError(names, "is too short to hold out a part: record three sessions or longer ones")
-    if not {SLIP, STATIC} <= set(np.concatenate([each.label for each in learned]).tolist()):
-        names = ", ".join(each.name for each in learned)
-        raise InputError(names, "lacks slip or static samples to learn from: add a recording that has both")
     trained = train_dense(learned, held_out, recipe, progress, parent)
     tcn = _detector(parent.name, trained.arrays, parent.fingertip)
     compared = {"before": parent, "after": tcn}

@@ -123,7 +123,10 @@ def test_dates_are_read_in_each_order(
         ("14:29:06:010", None),
         ("29:06.5", None),
         ("29:06", None),
-        ("0 days 00:00:01.5", None),
+        ("0 days 00:00:01.5", 1500 * ms),  # pandas
+        ("1 day, 0:00:01.500000", 86_401_500 * ms),  # Python
+        ("-1 days +23:59:59.5", -500 * ms),
+        ("999999 days 00:00:00", None),
         ("26.03.25 14:29:06", None),
         ("2025-02-30 10:00:00", None),
         ("2025-13-45 x", None),
@@ -279,7 +282,8 @@ def test_the_warnings_of_a_part_are_of_its_own_rows() -> None:
 def test_a_date_belongs_to_a_time_of_day_or_is_the_time_itself() -> None:
     clock, day = [dt.time(14, 29, 6 + k // 100, k % 100 * 10_000) for k in range(120)], dt.date(2025, 3, 26)
     midnight, texts = dt.datetime.combine(day, dt.time()), [*map(str, clock)]
-    for clocks, days in ((clock, [day]), (texts, [midnight]), (texts, [day.isoformat()])):
+    written = f"{day}T14:29:06Z"  # when the row was logged
+    for clocks, days in ((clock, [day]), (texts, [midnight]), (texts, [day.isoformat()]), (texts, [written])):
         found = trace([*clocks], Date=[*days] * 120)
         assert (found.columns.columns["date"], found.touch.time[1]) == (("Date",), 1742999346010 * ms)
     seconds = trace([k / 100 for k in range(60)], Date=["2025-03-26"] * 60)

@@ -262,7 +262,7 @@ def test_the_real_trace_is_read_whole() -> None:
     [
         ("", ["0", "1", "-1", "", "Slip", "static", "TRUE", "1.0"], [0, 1, -1, -1, 1, 0, 1, 1]),
         ("", ["Rutschen", "rutscht", "Haften", "haftet", "unbekannt"], [1, 1, 0, 0, -1]),
-        ("", ["ja", "nein", "Yes", "no"], [1, 0, 1, 0]),
+        ("", ["ja", "nein", "Yes", "no", "unlabeled"], [1, 0, 1, 0, -1]),
         ("labels.static=stuck,1", ["stuck", "slip", "1", "?"], [0, 1, 0, -1]),
         ("labels.slip=1,2", ["0", "1", "2", "7", "", "2.0", "x", "nan"], [0, 1, 1, 0, -1, 1, 0, -1]),
         ("labels.slip=north,labels.static=none,labels.unknown=?", ["North", "none", "?", ""], [1, 0, -1, -1]),
@@ -291,6 +291,12 @@ def test_a_suggestion_for_labels_does_not_guess_which_word_is_slip(
     path = write(f"{HEADER},label", *(f"{k},1,2,3,4,5,6,{value}" for k, value in enumerate(values)))
     with pytest.raises(InputError, match=rf"label=label,labels.slip={slip}'?$"):
         _ = Trace(path).part.touch
+
+
+def test_a_suggestion_does_not_list_many_labels(write: Write) -> None:
+    path = write(f"{HEADER},label", *(f"{k / 100},1,2,3,4,5,6,w{k}" for k in range(300)))
+    with pytest.raises(InputError, match=r"state labels\.unknown=WORD; .*labels\.unknown=WORD$"):
+        _ = Trace(path, ColumnMap.parse("labels.slip=w1,labels.static=w2")).part.touch
 
 
 def test_labels_of_slip_alone_are_a_warning(write: Write) -> None:
@@ -329,6 +335,15 @@ def test_a_table_in_memory_is_a_trace(kind: Callable[[dict[str, object]], object
     assert set(trace.part.labels.tolist()) == {1}
     assert trace.describe()["trace"] == "made.bin"
     assert trace.describe()["group"] == "wood"
+
+
+def test_arrays_may_have_a_row_per_channel_two_fingertips_and_one_label() -> None:
+    cells = 30_000 + 997 * np.arange(20).reshape(4, 5)  # (cells, n) as in MATLAB; more than 16 bits
+    trace = Trace({"a": cells}, ColumnMap.parse("rate=100,counts.0=a0..a1,counts.1=a2..a3,labelled=slip"))
+    assert trace.fingers(Touch) == (0, 1)
+    second = concat(Touch, list(trace.read(Touch, 1)))
+    assert (second.counts + trace.part.offset[2:]).tolist() == cells[2:].T.tolist()
+    assert trace.part.labels.tolist() == [1] * 5
 
 
 def test_arrays_of_several_columns_are_cells_and_other_data_is_refused() -> None:

@@ -60,6 +60,14 @@ def test_methods_for_other_fingertips_are_missing_with_the_remedy(tiny: Path, ha
         evaluate(dataset, names=["tcn"])
 
 
+def test_a_recording_at_which_a_detector_gives_no_probability_is_named(tiny: Path, having: Having) -> None:
+    recordings = load(tiny)
+    broken = next(each for each in recordings if each.split == "test")
+    recordings[recordings.index(broken)] = replace(broken, valid=np.zeros(broken.counts.shape, np.bool_))
+    found = evaluate(having(recordings), names=["psd"])
+    assert [*found.notes] == ["psd gave no probability at any labelled sample of 1 recording"]
+
+
 def test_a_recording_in_two_splits_is_named_and_not_fitted_to(tiny: Path, having: Having) -> None:
     clean, everything = evaluate(tiny, names=["psd"]), load(tiny)
     copies = [replace(each, name="copy", split="train") for each in everything if each.split == "test"]
