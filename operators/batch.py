@@ -8,7 +8,7 @@ of one row needs a single array; users' code and files read columns.
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import field
 from functools import cache, cached_property
-from operator import index
+from operator import attrgetter, index
 from typing import Any, Final, Literal, Self, TypeAlias, TypeVar, cast, get_args
 
 import numpy as np
@@ -125,28 +125,19 @@ class Batch(Declared):
         Raises:
             BatchError: if a column is invalid.
         """
-        known, rows = layout(type(self)), vars(self).get("packed")
-        if rows is not None and rows.dtype is known.row:
+        expected, rows = layout(type(self)), vars(self).get("packed")
+        if rows is not None and rows.dtype is expected.row:
             return self
         if rows is not None and rows.dtype == packed_type(type(self), self.cells):
-            known.row = rows.dtype
+            expected.row = rows.dtype
             return self
-        kind, length, cells = type(self).__name__, next(iter(np.shape(self.time)), 0), CELLS
-        for name, expected in columns(type(self)).items():
-            value: NDArray[Any] = getattr(self, name)
-            is_array: bool = isinstance(getattr(self, name), np.ndarray)
-            if not is_array or value.dtype != expected.dtype:
-                found = value.dtype if is_array else type(value).__name__
-                raise BatchError(kind, name, f"is {found}, must be an array of {expected.dtype}")
-            shape = value.shape
-            wanted = (length, *(cells if size == CELLS else size for size in expected.shape))
-            if len(shape) != len(wanted) or any(
-                want >= 0 and want != have for want, have in zip(wanted, shape, strict=True)
-            ):
-                want = ", ".join(str(size) if size >= 0 else "any" for size in wanted)
-                raise BatchError(kind, name, f"has shape {shape}, must be ({want})")
-            if CELLS in expected.shape:
-                cells = shape[-1]
+        try:
+            traits = expected.traits(self)
+        except AttributeError:  # a column is not an array
+            return self._check_each()
+        if traits != expected.valid:
+            self._check_each()
+            expected.valid = traits
         return self
 
     def is_ordered(self) -> bool:
@@ -166,6 +157,26 @@ class Batch(Declared):
             raise BatchError(type(self).__name__, "time", reason)
         return self
 
+    def _check_each(self) -> Self:
+        """Check the columns one by one; the error names the invalid one."""
+        kind, length, cells = type(self).__name__, next(iter(np.shape(self.time)), 0), CELLS
+        for name, expected in columns(type(self)).items():
+            value: NDArray[Any] = getattr(self, name)
+            is_array: bool = isinstance(getattr(self, name), np.ndarray)
+            if not is_array or value.dtype != expected.dtype:
+                found = value.dtype if is_array else type(value).__name__
+                raise BatchError(kind, name, f"is {found}, must be an array of {expected.dtype}")
+            shape = value.shape
+            wanted = (length, *(cells if size == CELLS else size for size in expected.shape))
+            if len(shape) != len(wanted) or any(
+                want >= 0 and want != have for want, have in zip(wanted, shape, strict=True)
+            ):
+                want = ", ".join(str(size) if size >= 0 else "any" for size in wanted)
+                raise BatchError(kind, name, f"has shape {shape}, must be ({want})")
+            if CELLS in expected.shape:
+                cells = shape[-1]
+        return self
+
 
 AnyBatch = TypeVar("AnyBatch", bound=Batch)
 
@@ -174,13 +185,16 @@ class Layout:
     """Cached column types and shapes of a batch type, for operations on every batch."""
 
     def __init__(self, kind: type[Batch]) -> None:
-        self._names, expected = tuple(columns(kind)), columns(kind)
+        expected = columns(kind)
+        traits = "__class__", "dtype", "shape"  # of each column
+        self.traits = attrgetter(*(f"{name}.{trait}" for name in expected for trait in traits))
+        self.valid: object = None  # traits of the newest valid batch
         self.row: object = None  # type of the rows of the newest valid packed batch
         self.cell_column = next((name for name, each in expected.items() if CELLS in each.shape), None)
-
-    def take(self, batch: Batch) -> tuple[NDArray[Any], ...]:
-        """Return the columns of a batch."""
-        return tuple(getattr(batch, name) for name in self._names)
+        getter = attrgetter(*expected)
+        self.take: Callable[[Batch], tuple[NDArray[Any], ...]] = (
+            getter if len(expected) > 1 else lambda batch: (batch.time,)
+        )
 
 
 def pack(batch: Batch, row: np.dtype[Any]) -> NDArray[Any]:
