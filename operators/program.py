@@ -15,8 +15,6 @@ from operators.steps import Record, RowType, Steps, copy, record_type
 
 Choice: TypeAlias = tuple[int, ...]  # entrances
 BLOCK: Final = 4096  # rows per call
-FEW: Final = 16  # rows of a batch that is a view of the only output
-SHARED: Final = 1024  # rows of views, after which the output is replaced
 
 STEP = TAKE = GIVE = NEXT = OTHER = END = TIME = cast("Any", None)  # functions
 SETTINGS = STATE = MADE = STOP = OUT = ""  # fields of records
@@ -84,8 +82,7 @@ def compose(
         fields += [(f"settings{i}", shape.settings), (f"state{i}", shape.state)]
         fields += [(f"made{i}", shape.gives.packed), (f"stop{i}", np.int64)]
         if shape.delivers:
-            room = SHARED + FEW + limit * factor + extra
-            places.append((f"out{i}", shape.gives.packed, (room,)))
+            places.append((f"out{i}", shape.gives.packed, (limit * factor + extra,)))
     flow, outputs = np.dtype(fields, align=True), np.dtype(places, align=True)
     drives = dict[Choice, Callable[..., int]]()
     known = dict[FunctionType, Any]()  # compiled functions

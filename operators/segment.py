@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from operators.batch import EVERY, Batch, layout, pack
 from operators.errors import BatchError
-from operators.program import BEGIN, FEW, FINISH, GO_ON, SHARED, Shape, compose
+from operators.program import BEGIN, FINISH, GO_ON, Shape, compose
 from operators.steps import RowType, Steps
 
 Outputs: TypeAlias = list[tuple[Any, Batch]]  # key of a stage, and a batch of its output
@@ -55,24 +55,18 @@ def compiler() -> Callable[..., Any] | None:
 class _Output:
     """Rows that leave a stage, in an array that the program fills."""
 
-    __slots__ = "key", "kind", "name", "rows", "start", "stops"
+    def __init__(self, stage: Stage, rows: NDArray[Any], stops: memoryview, finger: int) -> None:
+        self.stops, self._key, self._kind, self._rows = stops, stage.key, stage.gives.kind, rows
+        self._finger = finger
 
-    def __init__(self, stage: Stage, name: str, stops: memoryview) -> None:
-        self.key, self.kind, self.name, self.stops = stage.key, stage.gives.kind, name, stops
-
-    def renew(self, memory: Any) -> None:
-        """Begin another array; batches keep the one before."""
-        self.rows = memory[self.name][0]
-        self.rows.flags.writeable = False
-        self.start = self.stops[0] = 0
-
-    def copied(self, stop: int) -> NDArray[Any]:
+    def take(self, stop: int) -> tuple[Any, Batch]:
         """Return a copy of the rows, whose place is filled again."""
-        if stop > len(self.rows):
+        if stop > len(self._rows):
             reason = "would get more rows than `held` and `factor` of its Steps allow"
-            raise BatchError(self.kind.__name__, "time", reason)
-        self.stops[0] = self.start
-        return np.frombuffer(self.rows[self.start : stop].tobytes(), self.rows.dtype)
+            raise BatchError(self._kind.__name__, "time", reason)
+        self.stops[0] = 0
+        rows = np.frombuffer(self._rows[:stop].tobytes(), self._rows.dtype)
+        return self._key, self._kind.unpack(rows, self._finger)
 
 
 class Segment:
@@ -91,8 +85,8 @@ class Segment:
             for each in stages
         )
         self._program = program = compose(tuple(entrances), shapes, chosen)
-        self._entrances, self._finger = entrances, finger
-        self._flow = cast("Any", np.zeros(1, program.flow))
+        self._entrances = entrances
+        self._flow, self._memory = cast("Any", np.zeros(1, program.flow)), np.zeros(1, program.outputs)
         for i in range(len(entrances)):
             self._flow[f"enter{i}"]["newest"] = EARLIEST
         for i, stage in enumerate(stages):
@@ -100,12 +94,10 @@ class Segment:
                 for name, value in values.items():
                     self._flow[f"{record}{i}"][name] = value
         self._outputs = [
-            _Output(stage, f"out{i}", memoryview(self._flow[f"stop{i}"]))
+            _Output(stage, self._memory[f"out{i}"][0], memoryview(self._flow[f"stop{i}"]), finger)
             for i, stage in enumerate(stages)
             if stage.delivers
         ]
-        self._few = FEW if len(self._outputs) == 1 else 0  # else a rare row would keep all arrays
-        self._renew()
         self._empty = tuple(np.empty(0, entrances[i].packed) for i in program.order)
         self.pusher = cache(self._pusher)
 
@@ -115,11 +107,11 @@ class Segment:
         Args:
             entrances: Entrance of each batch. The batches are slices of one time span.
         """
-        flow, empty, given, order = self._flow, self._empty, self._entrances, self._program.order
-        drive = self._program.drives[order if len(entrances) > 1 else entrances]
-        places = [(order.index(i), given[i].packed, given[i]) for i in entrances]
+        flow, memory, given, taken = self._flow, self._memory, self._entrances, self._taken
+        used = self._program.order if len(entrances) > 1 else entrances
+        drive, empty = self._program.drives[used], [np.empty(0, given[i].packed) for i in used]
+        places = [(used.index(i), given[i].packed, given[i]) for i in entrances]
         [(_, only_row, only_kind), *_] = places
-        taken, batch_of = self._taken, self._batch
         only = self._outputs[0] if len(self._outputs) == 1 else None
 
         def push(*batches: Batch) -> Outputs:
@@ -128,17 +120,17 @@ class Segment:
                 packed = batch.packed
                 parts[place] = packed if packed.dtype is row else _packed(batch, kind)
             rows = tuple(parts)
-            waiting = drive(flow, self._memory, rows, BEGIN)
+            waiting = drive(flow, memory, rows, BEGIN)
             if waiting > 0 and only:
-                return [batch_of(only, only.start + waiting)]
+                return [only.take(waiting)]
             return taken(waiting, drive, rows) if waiting else []
 
         def push_one(batch: Batch) -> Outputs:
             packed = batch.packed
             rows = (packed if packed.dtype is only_row else _packed(batch, only_kind),)
-            waiting = drive(flow, self._memory, rows, BEGIN)
+            waiting = drive(flow, memory, rows, BEGIN)
             if waiting > 0 and only:
-                return [batch_of(only, only.start + waiting)]
+                return [only.take(waiting)]
             return taken(waiting, drive, rows) if waiting else []
 
         return push_one if len(entrances) == 1 else push
@@ -157,31 +149,10 @@ class Segment:
         """Return the rows that wait, and let in those that the call left."""
         outputs: Outputs = []
         while True:
-            outputs += [
-                self._batch(each, stop) for each in self._outputs if (stop := each.stops[0]) > each.start
-            ]
+            outputs += [each.take(stop) for each in self._outputs if (stop := each.stops[0])]
             if waiting >= 0:
                 return outputs
             waiting = drive(self._flow, self._memory, rows, GO_ON)
-
-    def _batch(self, output: _Output, stop: int) -> tuple[Any, Batch]:
-        """Return the new rows of an output, up to a place in it; few rows are a view, which costs no copy."""
-        batch: Any = _new(output.kind)
-        batch.finger = self._finger
-        if stop - output.start > self._few:
-            batch.packed = output.copied(stop)
-        else:
-            batch.packed = output.rows[output.start : stop]
-            output.start = stop
-            if stop >= SHARED:
-                self._renew()
-        return output.key, batch
-
-    def _renew(self) -> None:
-        """Begin other arrays of outputs."""
-        self._memory = np.zeros(1, self._program.outputs)
-        for each in self._outputs:
-            each.renew(self._memory)
 
 
 def _packed(batch: Batch, given: RowType) -> NDArray[Any]:
@@ -192,6 +163,3 @@ def _packed(batch: Batch, given: RowType) -> NDArray[Any]:
         reason = f"has {batch.cells} cells, but the fingertip was described or begun with {given.cells}"
         raise BatchError(type(batch).__name__, str(layout(type(batch)).cell_column), reason)
     return batch.packed if batch.packed.dtype == given.packed else pack(batch, given.packed)
-
-
-_new: Final = object.__new__
