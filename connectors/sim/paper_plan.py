@@ -15,15 +15,7 @@ from typing import TypeAlias, cast
 
 import numpy as np
 
-from connectors.sim.scene import (
-    PaperStrokes,
-    Parameters,
-    Scene,
-    Timing,
-    Vibration,
-    log_normal,
-    log_uniform,
-)
+from connectors.sim.scene import PaperStrokes, Parameters, Scene, Timing, Vibration, log_normal, log_uniform
 from operators.batch import Curvature
 
 Variation: TypeAlias = Callable[[Scene, np.random.Generator], Scene]

@@ -22,8 +22,7 @@ def watch(
     site: Annotated[str, typer.Option(help="Show only this site; +: all sites.")] = "+",
     rig: Annotated[str, typer.Option(help="Show only this rig; +: all rigs.")] = "+",
     since: Annotated[
-        str,
-        typer.Option(help="now: start with new events; start: with all events that the rigs still have."),
+        str, typer.Option(help="now: start with new events; start: with all events that the rigs still have.")
     ] = "now",
     position: Annotated[
         Path | None,

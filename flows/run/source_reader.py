@@ -117,9 +117,8 @@ class SourceReader:
     async def _taken(self, batch: Batch, take: Take) -> bool:
         self._taking = True
         later = take(batch)
-        ended = later is not None and not await later
-        self._taking = ended
-        return not ended
+        self._taking = later is not None and not await later  # so it stays true at the end of the run
+        return not self._taking
 
     def check(self, waited: float) -> None:
         """Check the times of the rows, and whether the source is silent; call this every `waited` seconds.

@@ -57,7 +57,6 @@ class ContactMonitor(Sink[Touch]):
 
     async def open(self, run: Run) -> None:
         """Do nothing: a monitor serves one session."""
-        del run
 
     def take(self, batch: Touch) -> bool:
         """Store the time of the newest valid sample, and add the counts to the means."""

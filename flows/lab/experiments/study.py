@@ -191,13 +191,7 @@ def run_study(
     ]
     work = partial(_run, experiment, setups, conditions)
     return joined(
-        result_rows(
-            metrics,
-            method=str(method),
-            recording=f"{name}-{seed}",
-            condition=condition,
-            fold=name,
-        )
+        result_rows(metrics, method=str(method), recording=f"{name}-{seed}", condition=condition, fold=name)
         for (condition, name, seed), found in zip(
             tasks, map_tasks(work, tasks, executor, progress=progress), strict=True
         )
@@ -206,10 +200,7 @@ def run_study(
 
 
 def _run(
-    experiment: str,
-    setups: Sequence[Setup],
-    conditions: Mapping[str, Conditions],
-    task: tuple[str, str, int],
+    experiment: str, setups: Sequence[Setup], conditions: Mapping[str, Conditions], task: tuple[str, str, int]
 ) -> list[dict[str, float]]:
     """Return the metrics of a trial with each method; unknown values are left out."""
     condition, name, seed = task

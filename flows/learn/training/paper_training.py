@@ -94,10 +94,7 @@ class _WindowedTask(TrainingTask):
     """Training of a network of the paper on windows."""
 
     def __init__(
-        self,
-        train: Sequence[LabelledRecording],
-        validation: Sequence[LabelledRecording],
-        recipe: PaperRecipe,
+        self, train: Sequence[LabelledRecording], validation: Sequence[LabelledRecording], recipe: PaperRecipe
     ) -> None:
         self._recipe, self._device = recipe, training_device()
         self._windows, self._unseen = Windows(train, self._device), Windows(validation, self._device)
