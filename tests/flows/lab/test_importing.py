@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
-from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.lab.importing import AttachLabels, TraceImport, import_files, import_frame
 from flows.learn.labelled_recordings import common_fingertip, load
@@ -25,6 +24,7 @@ from operators import Zero
 from operators.batch import EVERY, Labelled, Motion, Touch, Zeroed, concat, ms, s
 from operators.errors import InputError, ParameterError
 from storage import Session
+from tests.flows.run.live import flow_of
 from tests.storage.made import contents
 
 Write = Callable[..., Path]
@@ -143,8 +143,8 @@ def test_an_imported_session_replays_like_its_trace_and_trains(tmp_path: Path, w
     session = imported(trace_import)
     given = list[Any]()
     for recording in (trace_import.trace, session):
-        flow, sink = Flow("replay"), TestSink()
-        (flow.source(TestSource(Touch)) | Zero(scans=10)).to(sink)
+        sink = TestSink()
+        flow = flow_of(TestSource(Touch), sink, through=[Zero(scans=10)])
         asyncio.run(ReplayRunner(flow, recording, "again").execute())
         given.append(sink.rows(Zeroed, 0))
     trace, replayed = given

@@ -10,7 +10,6 @@ import pytest
 from safetensors.numpy import load_file
 
 from connectors import Gripper, Mqtt
-from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import validate
 from flows.run.clocks import EventClock
@@ -27,7 +26,7 @@ from storage import Session, save_weights
 from storage.files import put_checked, read_checked
 from storage.layout import SESSION, session_folder
 from storage.models import shipped_path
-from tests.flows.run.live import Described
+from tests.flows.run.live import Described, flow_of
 from tests.flows.run.recorder import record
 from tests.storage.made import contents, session_names
 
@@ -246,8 +245,8 @@ def test_a_file_is_opened_by_its_content_under_any_name(name: str, tmp_path: Pat
 
 
 def test_a_replay_needs_a_detector_for_its_recording_not_for_the_live_source(four: list[Path]) -> None:
-    flow = Flow("faster")
-    (flow.source(Described(replace(TAKKTILE, rate=200.0), (0,))) | Zero() | Score(Psd())).to(TestSink())
+    fast = Described(replace(TAKKTILE, rate=200.0), (0,))
+    flow = flow_of(fast, TestSink(), through=[Zero(), Score(Psd())])
     check_outputs(flow, four[:1])
     assert ReplayRunner(flow, Session.open(four[0]), "again").compiled.entries
     with pytest.raises(FlowError, match="psd needs 100 Hz; the data has 200 Hz"):
