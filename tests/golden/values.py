@@ -40,9 +40,13 @@ def every_value(folder: Path) -> Numbers:
 
 
 def statistics(results: pl.DataFrame, *by: str) -> Numbers:
-    """Return the statistics of groups of results, each with the ends of its interval."""
+    """Return the statistics of groups of results, each with the ends of its interval if it has one."""
     found = estimates(results, {**SHARES, **SAMPLES, **EVENTS, **AGAINST_SLIDING}, by).rows()
-    return {" | ".join(row[:-3]): row[-3:] for row in found}
+    return {
+        " | ".join(row[:-3]): [each for each in row[-3:] if each is not None]
+        for row in found
+        if row[-3] is not None
+    }
 
 
 def sums(results: pl.DataFrame, *by: str) -> Numbers:

@@ -7,6 +7,21 @@ import pytest
 from tests.command import error, slipflow
 from tests.flows.cli.test_import_command import TRACE
 
+OWN = """
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource
+from operators import Align, Motion, Operator, Touch, Zero, Zeroed
+
+class Own(TestSource):
+    def prepare(self):
+        print("prepared")
+
+class Empty(Operator[Zeroed, Zeroed]):
+    pass
+
+flow = Flow("own")
+"""
+
 
 def test_check_reports_a_correct_flow_and_lists_its_parameters() -> None:
     done = slipflow("check", "live")
@@ -19,42 +34,23 @@ def test_check_reports_a_correct_flow_and_lists_its_parameters() -> None:
 
 def test_check_prepares_the_sources_as_a_run_does(tmp_path: Path) -> None:
     path = tmp_path / "own.py"
-    path.write_text(
-        "from flows.graph import Flow\nfrom flows.graph.testing import TestSink, TestSource\n"
-        "from operators import Touch\n"
-        "class Own(TestSource):\n    def prepare(self):\n        print('prepared')\n"
-        "flow = Flow('own')\nflow.source(Own(Touch)).to(TestSink())\n"
-    )
+    path.write_text(OWN + "flow.source(Own(Touch)).to(TestSink())\n")
     assert "\nprepared\nown: OK" in slipflow("check", str(path)).stdout
 
 
 def test_check_finds_every_problem(tmp_path: Path) -> None:
     path = tmp_path / "wrong.py"
     path.write_text(
-        "from flows.graph import Flow\nfrom flows.graph.testing import TestSink, TestSource\n"
-        "from operators import Align, Motion, Touch\nflow = Flow('wrong')\n"
-        "touch, motion = flow.source(TestSource(Touch)), flow.source(TestSource(Motion))\n"
+        OWN + "touch, motion = flow.source(TestSource(Touch)), flow.source(TestSource(Motion))\n"
         "(motion & touch | Align()).to(TestSink())\n"
     )
     done = slipflow("check", str(path))
     assert done.returncode == 2
     assert done.stderr.splitlines() == [
-        "error: flow 'wrong': motion -> Align: Align takes Zeroed, not Motion",
-        "error: flow 'wrong': touch -> Align: Align takes Motion, not Touch",
+        "error: flow 'own': motion -> Align: Align takes Zeroed, not Motion",
+        "error: flow 'own': touch -> Align: Align takes Motion, not Touch",
     ]
-    assert error("run", str(path)).startswith("flow 'wrong': motion -> Align")
-
-
-OWN = """
-from flows.graph import Flow
-from flows.graph.testing import TestSink, TestSource
-from operators import Operator, Touch, Zero, Zeroed
-
-class Empty(Operator[Zeroed, Zeroed]):
-    pass
-
-flow = Flow("own")
-"""
+    assert error("run", str(path)).startswith("flow 'own': motion -> Align")
 
 
 @pytest.mark.parametrize(
