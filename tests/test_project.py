@@ -16,7 +16,7 @@ import pytest
 
 from flows.graph.testing import check_cuts
 from operators import Operator, Scores, checks, errors
-from tests.command import slipflow
+from tests.command import succeed
 from tests.pages import PAGES, ROOT, block, blocks
 
 FOLDERS = ("operators", "connectors", "storage", "flows")
@@ -126,9 +126,8 @@ def test_heavy_packages_are_imported_when_they_are_needed(code: str, light: set[
 
 def test_the_flow_of_the_readme_runs_and_prints_slip_events(tmp_path: Path) -> None:
     (tmp_path / "slip.py").write_text(block(ROOT / "README.md", "slip.py"))
-    assert slipflow("check", "slip.py", cwd=tmp_path).returncode == 0
-    done = slipflow("run", "slip.py", "--for", "5s", cwd=tmp_path)
-    assert done.returncode == 0
+    succeed("check", "slip.py", cwd=tmp_path)
+    done = succeed("run", "slip.py", "--for", "5s", cwd=tmp_path)
     assert re.search(r"^\S+ \S+  finger 0  slip onset  p [01]\.\d\d ", done.stdout, re.MULTILINE)
 
 

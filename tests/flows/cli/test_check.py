@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.command import error, slipflow
+from tests.command import error, slipflow, succeed
 from tests.flows.cli.test_import_command import TRACE
 
 OWN = """
@@ -24,8 +24,7 @@ flow = Flow("own")
 
 
 def test_check_reports_a_correct_flow_and_lists_its_parameters() -> None:
-    done = slipflow("check", "live")
-    assert done.returncode == 0
+    done = succeed("check", "live")
     assert done.stdout.startswith("flow live\n")
     assert "live: OK (sources: touch; sinks: console)" in done.stdout
     assert "--set detector=tcn  (text)" in done.stdout
@@ -82,8 +81,7 @@ def test_a_trace_in_a_flow_is_read_by_a_run_of_it_only(tmp_path: Path) -> None:
     )
     assert "touch = Replay(grip.csv, Touch)" in slipflow("check", "grip.py", cwd=tmp_path).stdout
     (tmp_path / "other.csv").write_text(TRACE)
-    done = slipflow("run", "grip.py", "--replay", "other.csv", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    succeed("run", "grip.py", "--replay", "other.csv", cwd=tmp_path)
     assert "grip.csv" in error("run", "grip.py", cwd=tmp_path)
     (tmp_path / "other.csv").rename(tmp_path / "grip.csv")
-    assert slipflow("run", "grip.py", cwd=tmp_path).returncode == 0
+    succeed("run", "grip.py", cwd=tmp_path)

@@ -194,7 +194,9 @@ def trained(kind: str, shift: float = 0.0) -> Score:
     """A shipped detector, as if it were trained to another bias."""
     path = shipped_path(kind)
     weights, _ = read_weights(path, path.read_bytes())
-    return Score(TRAINED[kind]({**weights, "out/bias": weights["out/bias"] + np.float32(shift)}))
+    bias = weights["out/bias"]
+    other = bias + np.arange(1, 1 + bias.size, dtype=np.float32) * np.float32(shift)
+    return Score(TRAINED[kind]({**weights, "out/bias": other}))
 
 
 LONG = np.zeros(2000)
