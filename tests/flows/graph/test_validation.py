@@ -217,7 +217,7 @@ def test_a_source_of_a_plain_dataclass_is_reported() -> None:
     class Force:
         normal: float
 
-    flow = flow_of(TestSource(Force), TestSink())  # type: ignore[type-var]  # wrong on purpose
+    flow = flow_of(TestSource(Force), TestSink())
     with pytest.raises(ParameterError, match=r"TestSource: kind is .*Force.*, must be a batch type"):
         validate(flow)
 
