@@ -51,6 +51,13 @@ def slipflow(*arguments: str | Path, cwd: Path | None = None) -> subprocess.Comp
     return subprocess.CompletedProcess(command, code, *texts)
 
 
+def succeed(*arguments: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a command that must succeed to its end in this process."""
+    done = slipflow(*arguments, cwd=cwd)
+    assert done.returncode == 0, f"{done.args}\n{done.stdout}\n{done.stderr}"
+    return done
+
+
 def error(*arguments: str | Path, cwd: Path | None = None) -> str:
     """Return the one-line error of a command, without its prefix."""
     done = slipflow(*arguments, cwd=cwd)

@@ -11,15 +11,12 @@ import duckdb
 import pyarrow as pa
 import pytest
 
-from flows.graph import Flow
-from flows.graph.testing import TestSource
-from operators import Labelled, Slips
+from operators import Labelled
 from operators.health import FaultKind
-from storage import Dataset, LabelSpan, Session
+from storage import LabelSpan, Session
 from storage.layout import TABLES
 from storage.schema import schema
 from tests.connectors.web.reading import slip
-from tests.flows.run.live import execute
 from tests.pages import ROOT, table
 from tests.storage.made import new_batch, record
 
@@ -107,9 +104,7 @@ def test_the_page_names_every_table_and_every_kind_of_fault() -> None:
 @pytest.fixture
 def session(tmp_path: Path) -> Path:
     """A session of a row."""
-    flow = Flow("short")
-    flow.source(TestSource(Slips, [SLIPS], fingers=(0,))).to(Dataset(tmp_path))
-    return tmp_path / "sessions" / execute(flow).session
+    return record(tmp_path, [SLIPS]).folder
 
 
 def test_the_page_has_each_entry_of_the_descriptions(session: Path) -> None:

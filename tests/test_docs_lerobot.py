@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.command import slipflow
+from tests.command import succeed
 from tests.pages import ROOT, block, commands
 
 PAGE = ROOT / "docs" / "how-to" / "lerobot.md"
@@ -22,7 +22,7 @@ runpy.run_path("read_lerobot.py")
 @pytest.mark.skipif(not PYTHON, reason="LEROBOT_PYTHON names no Python that has lerobot")
 def test_lerobot_reads_the_export_and_finds_the_touch_of_a_frame(tmp_path: Path) -> None:
     for words in commands(PAGE):
-        assert slipflow(*words, cwd=tmp_path).returncode == 0
+        succeed(*words, cwd=tmp_path)
     (tmp_path / "read_lerobot.py").write_text(block(PAGE, "read_lerobot.py"))
     env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(

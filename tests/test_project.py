@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators import Operator, Scores, checks, concat, errors
-from tests.command import slipflow
+from flows.graph.testing import check_cuts
+from operators import Operator, Scores, checks, errors
+from tests.command import succeed
 from tests.pages import PAGES, ROOT, block, blocks
 
 FOLDERS = ("operators", "connectors", "storage", "flows")
@@ -125,9 +126,8 @@ def test_heavy_packages_are_imported_when_they_are_needed(code: str, light: set[
 
 def test_the_flow_of_the_readme_runs_and_prints_slip_events(tmp_path: Path) -> None:
     (tmp_path / "slip.py").write_text(block(ROOT / "README.md", "slip.py"))
-    assert slipflow("check", "slip.py", cwd=tmp_path).returncode == 0
-    done = slipflow("run", "slip.py", "--for", "5s", cwd=tmp_path)
-    assert done.returncode == 0
+    succeed("check", "slip.py", cwd=tmp_path)
+    done = succeed("run", "slip.py", "--for", "5s", cwd=tmp_path)
     assert re.search(r"^\S+ \S+  finger 0  slip onset  p [01]\.\d\d ", done.stdout, re.MULTILINE)
 
 
@@ -136,7 +136,4 @@ def test_the_operator_on_the_architecture_page_keeps_the_invariant() -> None:
     names: dict[str, Any] = {"dataclass": dataclass, "field": field, "Operator": Operator, "Scores": Scores}
     exec(body, names)  # noqa: S102 - our own page
     scores = Scores(np.arange(9), np.linspace(0, 1, 9), finger=1)
-    whole = names["Smooth"]()
-    cut = names["Smooth"]()
-    pieces = [cut.push(scores[:4]), cut.push(scores[4:])]
-    assert concat(Scores, pieces).probability.tolist() == whole.push(scores).probability.tolist()
+    check_cuts(names["Smooth"](), scores)

@@ -27,8 +27,9 @@ from connectors import TakkTile, UrMotion
 from connectors.sim.finger import Finger
 from connectors.sim.scene import Scene
 from flows.graph import Flow
+from flows.graph.testing import TestSink
 from flows.run.live_runner import LiveRunner
-from operators import Align, Clock, DeviceClock, Label, Run, Score, Sink, Slips, Touch, Zero, ms, s
+from operators import Align, Batch, Clock, DeviceClock, Label, Score, Touch, Zero, ms, s
 from storage import Dataset, load_debounce, load_detector
 from tests.benchmarks.machine import print_head
 from tests.emulators.i2c_bus import EmulatedI2cBus, Table, served
@@ -59,24 +60,16 @@ class Noting(TakkTile):
                 yield batch
 
 
-class Told(Sink[Slips]):
+class Told(TestSink):
     """Writes down when each event comes."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.events = list[tuple[int, int, int]]()  # finger, stamp of the deciding sample, now; ns
 
-    @property
-    def destination(self) -> str:
-        """Memory."""
-        return "told"
-
-    async def open(self, run: Run) -> None:
-        """Know the clock."""
-        self._clock = run.clock
-
-    def take(self, batch: Slips) -> bool:
+    def take(self, batch: Batch) -> bool:
         """Write down."""
-        now = self._clock.now()
+        now = self.run.clock.now()
         self.events += [(batch.finger, time, now) for time in batch.time.tolist()]
         return True
 

@@ -19,7 +19,7 @@ import numpy as np
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSink, TestSource
-from flows.lab.experiments.study import EXPERIMENTS, Method
+from flows.lab.experiments.study import Method
 from flows.learn.evaluation.evaluation_study import evaluate
 from flows.learn.measures import SAMPLES, SHARES
 from flows.learn.training.recipe import Recipe
@@ -31,7 +31,7 @@ from operators import Debounce, Score, Touch, Zero, ms
 from operators.detectors import Detector
 from storage import load_detector
 from tests.benchmarks.machine import print_head, take_turns
-from tests.scene.tune_experiments import SEED, successes
+from tests.scene.tune_experiments import success_rates
 
 LONG, SHORT = (1, 2, 4, 8), (1, 2, 4)  # dilations whose window is 2 s and 1 s
 SIZES: Final = {
@@ -88,12 +88,7 @@ def held_objects(models: Sequence[Path], trials: int, executor: Executor) -> lis
 
     Each model has the threshold that is best for it.
     """
-    methods = [Method(str(model)) for model in models]
-    rates = []
-    for experiment in EXPERIMENTS:
-        tasks = [(experiment, SEED + number) for number in range(trials)]
-        rates.append(100 * np.mean([*executor.map(partial(successes, methods), tasks)], axis=0))
-    best = np.argmax(np.mean(rates, axis=0), axis=1)  # (models,)
+    rates, best = success_rates([Method(str(model)) for model in models], trials, executor)
     return [[float(rate[place, best[place]]) for rate in rates] for place in range(len(models))]
 
 

@@ -18,12 +18,10 @@ def _touch(*time: float) -> Zeroed:
     return Zeroed(_stamps(*time), counts, counts + np.int16(1), counts > 0, finger=2)
 
 
-def _motion(*time: float, pose: Reals | None = None) -> Motion:
+def _motion(*time: float) -> Motion:
     """Motion whose velocity along x is the number of the row."""
-    velocity = np.zeros((len(time), 6))
-    velocity[:, 0] = np.arange(len(time))
-    pose = np.full_like(velocity, np.nan) if pose is None else pose
-    return Motion(_stamps(*time), _stamps(*time), velocity, pose)
+    velocity = np.outer(np.arange(len(time)), [1, 0, 0, 0, 0, 0])
+    return Motion.rows(_stamps(*time), _stamps(*time), velocity, np.nan)
 
 
 def _stamps(*time: float) -> Times:

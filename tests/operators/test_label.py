@@ -13,9 +13,7 @@ def _sample(velocity: ArrayLike, pose: ArrayLike = np.nan, time: Times | None = 
     velocity = np.array(velocity, np.float64)
     rows = len(velocity)
     time = np.arange(rows) * 10 * ms if time is None else time
-    counts, valid = np.zeros((rows, 6), np.int16), np.ones((rows, 6), np.bool_)
-    poses = np.broadcast_to(np.array(pose, np.float64), (rows, 6))
-    return Sample(time, counts, counts, valid, velocity, poses, ~np.isnan(velocity[:, 0]), finger=4)
+    return Sample.rows(time, 0, 0, True, velocity, pose, ~np.isnan(velocity[:, 0]), finger=4)
 
 
 def _along_x(*speed: float) -> Reals:

@@ -11,10 +11,8 @@ PAD = Fingertip(grid(16), 1000.0, "kPa", 0.01, (0, 4000))
 SIX = ((8, 12), (9, 10, 13, 14), (11, 15), (3, 7), (1, 2, 5, 6), (0, 4))
 
 
-def rows(counts: list[list[int]], valid: list[list[bool]] | None = None) -> Touch:
-    values = np.array(counts, np.int16)
-    known = np.ones(values.shape, np.bool_) if valid is None else np.array(valid)
-    return Touch(np.arange(len(values)), values, values + np.int16(1), known, finger=2)
+def rows(counts: list[list[int]], valid: list[list[bool]] | bool = True) -> Touch:
+    return Touch.rows(range(len(counts)), counts, np.array(counts) + 1, valid, finger=2)
 
 
 def test_a_group_is_the_mean_of_its_valid_cells_times_the_gain() -> None:

@@ -2,20 +2,14 @@ import numpy as np
 import pytest
 
 from operators import Labelled, Operator, Pool, Resample, Sample, Touch, Zeroed, ms, s
-from operators.batch import Counts, Flags, Times
 from operators.fingertip import TAKKTILE
 from tests.storage.made import new_batch
-
-
-def touch(time: Times, counts: Counts, valid: Flags | None = None) -> Touch:
-    known = np.ones(counts.shape, np.bool_) if valid is None else valid
-    return Touch(time, counts, counts, known, finger=1)
 
 
 def wave(rate: float, frequency: float, seconds: float = 4.0) -> Touch:
     time = np.rint(np.arange(int(seconds * rate)) * (s / rate)).astype(np.int64)
     counts = np.rint(1000 * np.sin(2 * np.pi * frequency * time / s)).astype(np.int16)
-    return touch(time, counts[:, None])
+    return Touch.rows(time, counts[:, None], 0, True)
 
 
 @pytest.mark.parametrize("rate", [1000.0, 333.3, 200.0, 60.0, 16.0])
@@ -42,7 +36,7 @@ def test_output_times_do_not_depend_on_the_start() -> None:
 
 def test_nothing_is_made_up_in_a_gap() -> None:
     time = np.concatenate([np.arange(0, 100), np.arange(500, 600)]) * ms
-    found = Resample(rate=100, gap=50 * ms).push(touch(time, np.zeros((200, 2), np.int16)))
+    found = Resample(rate=100, gap=50 * ms).push(Touch.rows(time, np.zeros((200, 2)), 0, True))
     between = (found.time > 99 * ms) & (found.time < 505 * ms)
     assert not between.any()
     assert len(found) > 15
@@ -51,7 +45,7 @@ def test_nothing_is_made_up_in_a_gap() -> None:
 def test_a_cell_is_valid_if_lines_cover_half_of_the_period() -> None:
     valid = np.ones((101, 2), np.bool_)
     valid[23:26, 1] = valid[41:48, 1] = False
-    found = Resample(rate=100).push(touch(np.arange(101) * ms, np.full((101, 2), 7, np.int16), valid))
+    found = Resample(rate=100).push(Touch.rows(np.arange(101) * ms, 7, 0, valid))
     assert found.valid[:, 0].all()
     assert np.flatnonzero(~found.valid[:, 1]).tolist() == [4]
     assert found.counts.tolist() == [[7, 7]] * 10

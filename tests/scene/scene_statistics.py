@@ -143,10 +143,7 @@ def _rms(steps: Reals, chosen: Flags) -> Reals:
     """Return the root mean square of the chosen steps of each barometer, averaged over barometers; (1,)."""
     square = np.where(chosen, np.square(steps), 0).sum(axis=0)
     number = chosen.sum(axis=0)
-    return _mean(np.sqrt(square[number > 0] / number[number > 0]))
-
-
-def _mean(values: Reals) -> Reals:
+    values = np.sqrt(square[number > 0] / number[number > 0])
     return np.array([values.mean() if values.size else np.nan])
 
 

@@ -6,17 +6,19 @@ best one has the highest mean of both strict success rates; `flows.lab.experimen
 
 import argparse
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flows.lab.experiments.study import EXPERIMENTS, METHODS, Method, parse_method
 from flows.lab.experiments.trial import RANDOM, Conditions, Trial
 from flows.report.table import Table, Value
+from operators.batch import Reals
 from tests.benchmarks.machine import commit
 
 SEED: Final = 810_000  # of the first trial
@@ -31,6 +33,17 @@ def successes(methods: Sequence[Method], task: tuple[str, int]) -> list[list[boo
     return np.reshape([each.success for _, each in found], (len(methods), len(THRESHOLDS))).tolist()
 
 
+def success_rates(
+    methods: Sequence[Method], trials: int, executor: Executor
+) -> tuple[list[Reals], NDArray[np.intp]]:
+    """Return success (methods, thresholds) % by experiment, and the place of the best one (methods,)."""
+    rates = list[Reals]()
+    for experiment in EXPERIMENTS:
+        tasks = [(experiment, SEED + number) for number in range(trials)]
+        rates.append(100 * np.mean([*executor.map(partial(successes, methods), tasks)], axis=0))
+    return rates, np.argmax(np.mean(rates, axis=0), axis=1)
+
+
 def main() -> None:
     """Print the success at each threshold, and the best one."""
     options = argparse.ArgumentParser(prog="python -m tests.scene.tune_experiments", description=__doc__)
@@ -39,12 +52,8 @@ def main() -> None:
     options.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     given = options.parse_args()
     methods = [parse_method(text) for text in given.methods] or list(METHODS)
-    rates = []
     with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
-        for experiment in EXPERIMENTS:
-            tasks = [(experiment, SEED + number) for number in range(given.trials)]
-            rates.append(100 * np.mean([*pool.map(partial(successes, methods), tasks)], axis=0))
-    best = np.argmax(np.mean(rates, axis=0), axis=1)  # (methods,)
+        rates, best = success_rates(methods, given.trials, pool)
     rows: list[list[Value]] = [
         [str(method), name, *map(float, rate[place]), f"{THRESHOLDS[best[place]]:g}"]
         for place, method in enumerate(methods)

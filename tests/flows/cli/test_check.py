@@ -4,13 +4,27 @@ from pathlib import Path
 
 import pytest
 
-from tests.command import error, slipflow
+from tests.command import error, slipflow, succeed
 from tests.flows.cli.test_import_command import TRACE
+
+OWN = """
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource
+from operators import Align, Motion, Operator, Touch, Zero, Zeroed
+
+class Own(TestSource):
+    def prepare(self):
+        print("prepared")
+
+class Empty(Operator[Zeroed, Zeroed]):
+    pass
+
+flow = Flow("own")
+"""
 
 
 def test_check_reports_a_correct_flow_and_lists_its_parameters() -> None:
-    done = slipflow("check", "live")
-    assert done.returncode == 0
+    done = succeed("check", "live")
     assert done.stdout.startswith("flow live\n")
     assert "live: OK (sources: touch; sinks: console)" in done.stdout
     assert "--set detector=tcn  (text)" in done.stdout
@@ -19,42 +33,23 @@ def test_check_reports_a_correct_flow_and_lists_its_parameters() -> None:
 
 def test_check_prepares_the_sources_as_a_run_does(tmp_path: Path) -> None:
     path = tmp_path / "own.py"
-    path.write_text(
-        "from flows.graph import Flow\nfrom flows.graph.testing import TestSink, TestSource\n"
-        "from operators import Touch\n"
-        "class Own(TestSource):\n    def prepare(self):\n        print('prepared')\n"
-        "flow = Flow('own')\nflow.source(Own(Touch)).to(TestSink())\n"
-    )
+    path.write_text(OWN + "flow.source(Own(Touch)).to(TestSink())\n")
     assert "\nprepared\nown: OK" in slipflow("check", str(path)).stdout
 
 
 def test_check_finds_every_problem(tmp_path: Path) -> None:
     path = tmp_path / "wrong.py"
     path.write_text(
-        "from flows.graph import Flow\nfrom flows.graph.testing import TestSink, TestSource\n"
-        "from operators import Align, Motion, Touch\nflow = Flow('wrong')\n"
-        "touch, motion = flow.source(TestSource(Touch)), flow.source(TestSource(Motion))\n"
+        OWN + "touch, motion = flow.source(TestSource(Touch)), flow.source(TestSource(Motion))\n"
         "(motion & touch | Align()).to(TestSink())\n"
     )
     done = slipflow("check", str(path))
     assert done.returncode == 2
     assert done.stderr.splitlines() == [
-        "error: flow 'wrong': motion -> Align: Align takes Zeroed, not Motion",
-        "error: flow 'wrong': touch -> Align: Align takes Motion, not Touch",
+        "error: flow 'own': motion -> Align: Align takes Zeroed, not Motion",
+        "error: flow 'own': touch -> Align: Align takes Motion, not Touch",
     ]
-    assert error("run", str(path)).startswith("flow 'wrong': motion -> Align")
-
-
-OWN = """
-from flows.graph import Flow
-from flows.graph.testing import TestSink, TestSource
-from operators import Operator, Touch, Zero, Zeroed
-
-class Empty(Operator[Zeroed, Zeroed]):
-    pass
-
-flow = Flow("own")
-"""
+    assert error("run", str(path)).startswith("flow 'own': motion -> Align")
 
 
 @pytest.mark.parametrize(
@@ -86,8 +81,7 @@ def test_a_trace_in_a_flow_is_read_by_a_run_of_it_only(tmp_path: Path) -> None:
     )
     assert "touch = Replay(grip.csv, Touch)" in slipflow("check", "grip.py", cwd=tmp_path).stdout
     (tmp_path / "other.csv").write_text(TRACE)
-    done = slipflow("run", "grip.py", "--replay", "other.csv", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    succeed("run", "grip.py", "--replay", "other.csv", cwd=tmp_path)
     assert "grip.csv" in error("run", "grip.py", cwd=tmp_path)
     (tmp_path / "other.csv").rename(tmp_path / "grip.csv")
-    assert slipflow("run", "grip.py", cwd=tmp_path).returncode == 0
+    succeed("run", "grip.py", cwd=tmp_path)

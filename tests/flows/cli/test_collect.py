@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from flows.graph.validation import problems
-from tests.command import error, slipflow
+from tests.command import error, slipflow, succeed
 from tests.pages import ROOT, block
 
 SPHERE = """
@@ -29,8 +29,7 @@ def plan(folder: Path, text: str) -> str:
 
 
 def test_a_dry_run_prints_path_duration_and_bounds(tmp_path: Path) -> None:
-    done = slipflow("collect", plan(tmp_path, SPHERE), "--dry-run", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = succeed("collect", plan(tmp_path, SPHERE), "--dry-run", cwd=tmp_path)
     head, strokes, rotation, whole, workspace, pressed = done.stdout.splitlines()
     assert head.split()[:3] == ["session", "strokes", "time"]
     assert strokes.split()[:2] == ["sphere-050-01", "8"]

@@ -7,14 +7,13 @@ from pathlib import Path
 import pytest
 
 from storage.models import shipped
-from tests.command import captured, slipflow
+from tests.command import captured, succeed
 
 
 def test_evaluate_writes_page_and_tables(tiny: Path, tmp_path: Path) -> None:
     model = str(shipped("tcn"))
     options = ("--method", "psd", "--method", model)
-    done = slipflow("evaluate", str(tiny), *options, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = succeed("evaluate", str(tiny), *options, cwd=tmp_path)
     assert "judged on tiny, split: test: 2 recordings, 0.4 minutes after the warm-up\n" in done.stderr
     found = json.loads((tmp_path / "evaluation" / "evaluation.json").read_text())
     rows = found["sections"]["samples"]["tables"][0]["rows"]

@@ -6,13 +6,12 @@ from shutil import copytree
 import pytest
 
 from storage.files import put_checked, read_checked
-from tests.command import slipflow
+from tests.command import slipflow, succeed
 from tests.storage.made import session_names
 
 
 def test_a_dataset_becomes_a_file_per_session_or_one_session_one_file(tiny: Path, tmp_path: Path) -> None:
-    done = slipflow("export", str(tiny), "out", "--to", "mcap", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = succeed("export", str(tiny), "out", "--to", "mcap", cwd=tmp_path)
     names = session_names(tiny)
     assert {path.name for path in (tmp_path / "out").iterdir()} == {f"{name}.mcap" for name in names}
     assert done.stdout.startswith("12 files, ")
@@ -30,8 +29,7 @@ def test_a_name_in_session_json_leads_out_of_no_folder(tiny: Path, tmp_path: Pat
     (copy / "MANIFEST.json").write_text(
         (copy / "MANIFEST.json").read_text().replace(min(session_names(tiny)), "../../evil")
     )
-    done = slipflow("export", tmp_path / path, "deep/out", "--to", "mcap", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    succeed("export", tmp_path / path, "deep/out", "--to", "mcap", cwd=tmp_path)
     assert [each.relative_to(tmp_path).as_posix() for each in tmp_path.rglob("*.mcap")] == [
         "deep/out/one.mcap"
     ]

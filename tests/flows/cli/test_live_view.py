@@ -22,7 +22,7 @@ from storage import load_detector
 from tests.command import Terminal
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.connectors.web.reading import slip
-from tests.flows.run.live import Described
+from tests.flows.run.live import Described, flow_of
 from tests.waiting import PATIENCE, until
 
 
@@ -101,8 +101,7 @@ def test_a_browser_opens_only_for_a_person(monkeypatch: pytest.MonkeyPatch, prog
 
 
 def test_the_metrics_take_slips_faults_scores_and_clocks_of_those_that_there_are() -> None:
-    flow = Flow("slipping")
-    (flow.source(TestSource(Scores)) | Debounce()).to(TestSink())
+    flow = flow_of(TestSource(Scores), TestSink(), through=[Debounce()])
     add_metrics(flow, "9464")
     assert problems(flow) == []
     [node] = [node for node, sink in flow.sinks().items() if isinstance(sink, Metrics)]

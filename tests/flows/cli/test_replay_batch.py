@@ -7,7 +7,7 @@ import subprocess
 from pathlib import Path
 from shutil import copytree
 
-from tests.command import SLIPFLOW, captured, slipflow
+from tests.command import SLIPFLOW, captured, slipflow, succeed
 from tests.storage.made import contents, session_names
 from tests.waiting import PATIENCE, wait_until
 
@@ -93,9 +93,7 @@ def test_after_ctrl_c_the_same_command_continues(tiny: Path, tmp_path: Path) -> 
     assert sorted(path.name for path in out.iterdir()) == ["dataset.json", "sessions"]
     kept = session_names(out)
     assert 0 < len(kept) < 5
-    done = slipflow(*resumed)
-    assert done.returncode == 0, done.stderr
+    done = succeed(*resumed)
     assert f"{len(kept)} recording{'s' * (len(kept) > 1)} of 5 replayed already" in done.stderr
-    whole = slipflow(*arguments, "--set", f"out={tmp_path / 'whole'}", "--jobs", "1")
-    assert whole.returncode == 0
+    succeed(*arguments, "--set", f"out={tmp_path / 'whole'}", "--jobs", "1")
     assert contents(out) == contents(tmp_path / "whole")

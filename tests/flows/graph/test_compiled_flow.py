@@ -37,6 +37,7 @@ from operators.batch import Counts, Reals
 from operators.detectors import Psd
 from operators.operator import output_type
 from operators.steps import Record, RowType, Steps
+from tests.flows.run.live import flow_of
 from tests.operators import test_conformance as suite
 from tests.storage.made import same
 
@@ -101,18 +102,15 @@ class Returning(Operator[Scores, Scores]):
 def test_an_operator_that_breaks_its_contract_is_named(
     operator: Operator[Scores, Scores], message: str
 ) -> None:
-    flow = Flow("f")
-    (flow.source(TestSource(Scores, fingers=(2,))) | operator).to(TestSink())
-    compiled = CompiledFlow(flow)
+    compiled = CompiledFlow(flow_of(TestSource(Scores, fingers=(2,)), TestSink(), through=[operator]))
     with pytest.raises(OperatorError, match=re.escape(f"flow 'f': {message}")):
         compiled.push({compiled.entries[0]: scores(0.1, finger=2)})
 
 
 def test_output_that_begins_before_the_end_of_the_last_batch_is_an_error() -> None:
-    flow, times = Flow("f"), iter([90 * ms, 90 * ms, 40 * ms])
+    times = iter([90 * ms, 90 * ms, 40 * ms])
     backwards = Returning(lambda: (np.array([next(times)]), np.ones(1)))
-    (flow.source(TestSource(Scores)) | backwards).to(TestSink())
-    compiled = CompiledFlow(flow)
+    compiled = CompiledFlow(flow_of(TestSource(Scores), TestSink(), through=[backwards]))
     for _ in range(2):
         compiled.push({compiled.entries[0]: scores(0.1)})
     with pytest.raises(OperatorError, match=r"^flow 'f': Returning: Scores\.time: decreases by 50 ms betw"):
@@ -166,8 +164,7 @@ class Unready(Operator[Scores, Scores]):
 
 
 def test_an_operator_that_cannot_be_prepared_is_named() -> None:
-    flow = Flow("f")
-    (flow.source(TestSource(Scores)) | Unready() | Debounce()).to(TestSink())
+    flow = flow_of(TestSource(Scores), TestSink(), through=[Unready(), Debounce()])
     reason = r"Unready: OSError: no weights \(test_compiled_flow\.py:\d+\)$"
     with pytest.raises(OperatorError, match=rf"^flow 'f': {reason}"):
         CompiledFlow(flow)
@@ -198,9 +195,7 @@ def test_motion_that_comes_with_touch_of_one_fingertip_reaches_the_others() -> N
 
 
 def test_an_empty_batch_needs_not_the_number_of_cells_of_the_fingertip() -> None:
-    flow = Flow("f")
-    (flow.source(TestSource(Touch)) | Pool(gain=0.25)).to(TestSink())
-    compiled = CompiledFlow(flow)
+    compiled = CompiledFlow(flow_of(TestSource(Touch), TestSink(), through=[Pool(gain=0.25)]))
     assert compiled.push({compiled.entries[0]: Touch.zeros(0, cells=9)}) == []
 
 

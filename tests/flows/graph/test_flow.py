@@ -6,6 +6,7 @@ import pytest
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from operators import Align, Debounce, FlowError, Motion, Scores, Touch, Zero
+from tests.flows.run.live import flow_of
 
 
 @pytest.mark.parametrize(("fingers", "joined"), [((0, 2), (0, 2)), ((-1,), (-1,))])
@@ -17,10 +18,9 @@ def test_a_stream_of_all_fingertips_joins_each_one(fingers: tuple[int, ...], joi
 
 
 def test_replacing_parts_leaves_the_flow_as_it_was() -> None:
-    flow, sink = Flow("f"), TestSink()
-    (flow.source(TestSource(Scores)) | Debounce()).to(sink)
+    sink, other = TestSink(), TestSink()
+    flow = flow_of(TestSource(Scores), sink, through=[Debounce()])
     drawn = str(flow)
-    other = TestSink()
     copy = flow.replaced(lambda node: other if node.part is sink else node.part)
     assert [node.part for node in copy.sinks()] == [other]
     assert [node.name for node in copy.nodes] == [node.name for node in flow.nodes]

@@ -1,5 +1,4 @@
 import pickle
-import re
 import sys
 from pathlib import Path
 from types import FunctionType
@@ -25,6 +24,8 @@ def pressed(
 def not_a_flow(x: int) -> int:
     return x
 """
+
+FUNCTION = "from flows.graph import Flow\ndef f() -> Flow:\n    "
 
 
 def _file(folder: Path, code: str) -> str:
@@ -65,15 +66,18 @@ def test_a_finished_flow_is_found_by_its_name(tmp_path: Path) -> None:
             "from flows.graph import Flow\ndef f(x: int) -> Flow: ...",
             "flow 'f': parameter 'x' needs a default",
         ),
+        (FUNCTION + "return 5", r"mine\.py: flow 'f' must return a Flow, but returned int$"),
+        (FUNCTION + "import sys; sys.exit(3)", r"mine\.py:3: calls sys\.exit$"),
+        (FUNCTION + "return undefined", r"mine\.py:3: NameError: name 'undefined' is not defined$"),
     ],
 )
-def test_an_error_in_a_file_is_one_line_with_its_location(
+def test_an_error_in_a_file_or_its_function_is_one_line_with_its_location(
     tmp_path: Path, code: str, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "path", list(sys.path))
     (tmp_path / "a_module_that_divides.py").write_text("\n1 / 0\n")
     with pytest.raises(InputError, match=message) as raised:
-        load(_file(tmp_path, code))
+        load(_file(tmp_path, code)).flow()
     assert "\n" not in str(raised.value)
 
 
@@ -86,20 +90,6 @@ def test_a_missing_file_and_a_missing_flow_are_reported(tmp_path: Path) -> None:
         load(str(tmp_path))
     with pytest.raises(InputError, match="has no flow 'other'; it has pressed"):
         load(_file(tmp_path, GOOD) + ":other")
-
-
-@pytest.mark.parametrize(
-    ("body", "message"),
-    [
-        ("return 5", "mine.py: flow 'f' must return a Flow, but returned int"),
-        ("import sys; sys.exit(3)", "mine.py:3: calls sys.exit"),
-        ("return undefined", "mine.py:3: NameError: name 'undefined' is not defined"),
-    ],
-)
-def test_a_function_that_fails_or_gives_no_flow_is_an_error(tmp_path: Path, body: str, message: str) -> None:
-    code = f"from flows.graph import Flow\ndef f() -> Flow:\n    {body}\n"
-    with pytest.raises(InputError, match=f"{re.escape(message)}$"):
-        load(_file(tmp_path, code)).flow()
 
 
 def test_a_flow_imports_modules_of_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

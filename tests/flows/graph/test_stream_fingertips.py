@@ -16,13 +16,11 @@ from operators.errors import FingertipError, FlowError
 from operators.fingertip import TAKKTILE, Fingertip, grid
 from storage import load_detector
 from storage.models import shipped_path
-from tests.flows.run.live import Described
+from tests.flows.run.live import Described, flow_of
 
 
 def flow(fingertip: Fingertip, score: Score) -> Flow:
-    made = Flow("live")
-    (made.source(Described(fingertip)) | Zero() | score).to(TestSink())
-    return made
+    return flow_of(Described(fingertip), TestSink(), through=[Zero(), score])
 
 
 @pytest.mark.parametrize(
@@ -38,7 +36,7 @@ def test_a_detector_for_another_fingertip_is_an_error_that_names_edge_and_operat
     made = flow(given, Score(load_detector("tcn")))
     [problem] = problems(made)
     assert isinstance(problem.__cause__, FingertipError)
-    with pytest.raises(FlowError, match=rf"^flow 'live': Zero -> Score: tcn needs .*: {fix}"):
+    with pytest.raises(FlowError, match=rf"^flow 'f': Zero -> Score: tcn needs .*: {fix}"):
         CompiledFlow(made)
 
 
@@ -60,8 +58,8 @@ def test_a_detector_that_fits_or_does_not_say_is_accepted() -> None:
 def test_cells_at_the_end_of_their_fingertips_range_are_saturated(
     ends: tuple[int, int] | None, found: list[int]
 ) -> None:
-    made, sink = Flow("watch"), TestSink()
-    (made.source(Described(replace(TAKKTILE, range=ends))) | Pool() | Health(stuck_after=9 * s)).to(sink)
+    described = Described(replace(TAKKTILE, range=ends))
+    made = flow_of(described, TestSink(), through=[Pool(), Health(stuck_after=9 * s)])
     time, cells = np.arange(0, s, 10 * ms), np.full((100, 6), 500, np.int16)
     cells[10:, :2] = 40, 1020
     touch = Touch(time, cells, cells, np.ones_like(cells, np.bool_))

@@ -21,6 +21,7 @@ from operators import (
     Touch,
     Zero,
 )  # fmt: skip
+from tests.flows.run.live import flow_of
 
 
 def _one_problem(flow: Flow) -> str:
@@ -111,8 +112,7 @@ class Undecorated(Loud):
     ids=["undecorated", "shared", "lost", "no base"],
 )
 def test_an_operator_that_each_run_could_not_copy_is_reported(operator: Loud, reason: str) -> None:
-    flow = Flow("f")
-    (flow.source(TestSource(Scores)) | operator).to(TestSink())
+    flow = flow_of(TestSource(Scores), TestSink(), through=[operator])
     assert _one_problem(flow).startswith(reason)
     assert type(operator).__name__ in str(flow)
 
@@ -122,9 +122,7 @@ def test_an_operator_that_copies_itself_may_have_its_own_arguments() -> None:
         def reset_copy(self) -> "Own":
             return Own(self.gain)
 
-    flow = Flow("f")
-    (flow.source(TestSource(Scores)) | Own(2.0)).to(TestSink())
-    assert problems(flow) == []
+    assert problems(flow_of(TestSource(Scores), TestSink(), through=[Own(2.0)])) == []
 
 
 def test_an_operator_without_types_is_reported() -> None:
@@ -132,8 +130,7 @@ def test_an_operator_without_types_is_reported() -> None:
         def process(self, batch: Scores) -> Scores:
             return batch
 
-    flow = Flow("f")
-    (flow.source(TestSource(Scores)) | Silent()).to(TestSink())
+    flow = flow_of(TestSource(Scores), TestSink(), through=[Silent()])
     with pytest.raises(
         InputError, match=r"^Silent: declares no .*: write class Silent\(Operator\[Scores, Scores\]\)$"
     ):
@@ -145,10 +142,7 @@ def test_the_batch_parameter_of_a_sink_may_have_any_name() -> None:
         async def write(self, slips: Slips) -> None:  # type: ignore[override]
             """Take them."""
 
-    flow = Flow("f")
-    scores: Stream[Any] = flow.source(TestSource(Scores))
-    scores.to(Named())
-    assert "takes Slips, not Scores" in _one_problem(flow)
+    assert "takes Slips, not Scores" in _one_problem(flow_of(TestSource(Scores), Named()))
 
 
 class Wrong:
@@ -180,9 +174,7 @@ class Wrong:
 )
 def test_a_sink_that_would_fail_in_a_run_is_reported(name: str, value: object, reason: str) -> None:
     kind = type("Own", (TestSink,), {name: value})
-    flow = Flow("f")
-    flow.source(TestSource(Scores)).to(kind())
-    assert _one_problem(flow).startswith(f"scores -> own: {reason}")
+    assert _one_problem(flow_of(TestSource(Scores), kind())).startswith(f"scores -> own: {reason}")
 
 
 def _yield_at_once(self: object, clock: object) -> Iterator[Scores]:
@@ -208,18 +200,16 @@ def test_a_type_that_only_type_checkers_import_is_named() -> None:
         async def write(self, batch: "Missing") -> None:  # type: ignore[name-defined]  # noqa: F821
             """Take them."""
 
-    flow: Any = Flow("f")
-    flow.source(TestSource(Scores)).to(Unknown())
+    flow = flow_of(TestSource(Scores), Unknown())
     with pytest.raises(InputError, match=r"^Unknown: name 'Missing' is not defined: import it outside "):
         problems(flow)
 
 
 def test_an_extra_that_does_not_exist_is_an_error_with_those_that_do() -> None:
-    flow, sink = Flow("f"), TestSink()
+    sink = TestSink()
     sink.extra = "foo"
-    flow.source(TestSource(Scores)).to(sink)
     with pytest.raises(ParameterError, match=r"^testsink: extra is 'foo', must be one of train, "):
-        check_extras(flow.nodes)
+        check_extras(flow_of(TestSource(Scores), sink).nodes)
 
 
 def test_a_source_of_a_plain_dataclass_is_reported() -> None:
@@ -227,8 +217,7 @@ def test_a_source_of_a_plain_dataclass_is_reported() -> None:
     class Force:
         normal: float
 
-    flow, kind = Flow("f"), Force
-    flow.source(TestSource(kind)).to(TestSink())  # type: ignore[type-var, arg-type]  # wrong on purpose
+    flow = flow_of(TestSource(Force), TestSink())
     with pytest.raises(ParameterError, match=r"TestSource: kind is .*Force.*, must be a batch type"):
         validate(flow)
 

@@ -1,7 +1,6 @@
 """Recordings as sessions."""
 
 import asyncio
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from hypothesis import strategies as st
 
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
-from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.lab.importing import AttachLabels, TraceImport, import_files, import_frame
 from flows.learn.labelled_recordings import common_fingertip, load
@@ -25,21 +23,17 @@ from operators import Zero
 from operators.batch import EVERY, Labelled, Motion, Touch, Zeroed, concat, ms, s
 from operators.errors import InputError, ParameterError
 from storage import Session
+from tests.flows.run.live import flow_of
 from tests.storage.made import contents
 
-Write = Callable[..., Path]
 CELLS = "s1,s2,s3,s4,s5,s6"
 GUESS = ColumnMap()
 
 
-@pytest.fixture
-def write(tmp_path: Path) -> Write:
-    def write_lines(header: str, rows: list[str], name: str = "trace.csv") -> Path:
-        path = tmp_path / name
-        path.write_text("\n".join([header, *rows, ""]), encoding="utf-8")
-        return path
-
-    return write_lines
+def write(folder: Path, header: str, rows: list[str], name: str = "trace.csv") -> Path:
+    path = folder / name
+    path.write_text("\n".join([header, *rows, ""]), encoding="utf-8")
+    return path
 
 
 def counts(row: int, base: int = 500) -> str:
@@ -59,9 +53,11 @@ def rows(session: Session, kind: Any, finger: int = 0) -> Any:
     return concat(kind, list(session.read(kind, finger)))
 
 
-def test_the_file_s_labels_are_those_of_the_samples(tmp_path: Path, write: Write) -> None:
+def test_the_file_s_labels_are_those_of_the_samples(tmp_path: Path) -> None:
     labels = [k % 3 - 1 for k in range(300)]
-    path = write(f"t,{CELLS},label", [f"{k / 100},{counts(k % 9)},{label}" for k, label in enumerate(labels)])
+    path = write(
+        tmp_path, f"t,{CELLS},label", [f"{k / 100},{counts(k % 9)},{label}" for k, label in enumerate(labels)]
+    )
     session = imported(read(path, tmp_path / "out", ColumnMap.parse("counts.4=s*")))
     assert session.tables == ("touch", "samples")
     samples = rows(session, Labelled, 4)
@@ -85,12 +81,12 @@ def test_the_file_s_labels_are_those_of_the_samples(tmp_path: Path, write: Write
     ],
 )
 def test_without_labels_the_arm_s_speed_gives_them_and_a_missing_one_is_a_warning(
-    tmp_path: Path, write: Write, column: str, fast: str, labels: str, absent: str
+    tmp_path: Path, column: str, fast: str, labels: str, absent: str
 ) -> None:
     still = "0,0,0" if "," in column else "0"
     lines = [f"{k * 10},{counts(0)},{still if k < 150 else fast}" for k in range(300)]
     columns = ColumnMap.parse("units.speed=mm/s")
-    trace_import = read(write(f"t_ms,{CELLS},{column}", lines), tmp_path / "out", columns)
+    trace_import = read(write(tmp_path, f"t_ms,{CELLS},{column}", lines), tmp_path / "out", columns)
     report = trace_import.report()
     assert f"  labels by arm speed, slip above 3 mm/s: {labels}\n" in report
     assert (f"  warning: no row is {absent}, but the arm moves: slip is a speed" in report) == bool(absent)
@@ -102,9 +98,9 @@ def test_without_labels_the_arm_s_speed_gives_them_and_a_missing_one_is_a_warnin
     assert rows(session, Labelled).label.tolist() == expected == [0] * 150 + expected[150:]
 
 
-def test_labels_and_motion_of_a_file_are_both_kept(tmp_path: Path, write: Write) -> None:
+def test_labels_and_motion_of_a_file_are_both_kept(tmp_path: Path) -> None:
     lines = [f"{k / 100},{counts(0, 3)},{0.1 if k % 2 else ''},{k % 2}" for k in range(300)]
-    path = write(f"t,{CELLS},speed,slip", lines)
+    path = write(tmp_path, f"t,{CELLS},speed,slip", lines)
     session = imported(read(path, tmp_path / "out", ColumnMap(zeroed=True)))
     samples = rows(session, Labelled)
     assert type(rows(session, Touch)) is Zeroed
@@ -113,9 +109,9 @@ def test_labels_and_motion_of_a_file_are_both_kept(tmp_path: Path, write: Write)
     assert samples.velocity[:, 0].tolist() == [0.1] * 300  # of the nearest row, within 20 ms
 
 
-def test_a_file_with_counts_only_gives_touch_only(tmp_path: Path, write: Write) -> None:
+def test_a_file_with_counts_only_gives_touch_only(tmp_path: Path) -> None:
     others = ",".join(f"other_{letter}" for letter in "abcdefghijklmnopqrstuv")
-    path = write(f"{CELLS},{others}", [counts(k) + ",7" * 22 for k in range(9)])
+    path = write(tmp_path, f"{CELLS},{others}", [counts(k) + ",7" * 22 for k in range(9)])
     trace_import = read(path, tmp_path / "out", ColumnMap(rate=50))
     session = imported(trace_import)
     shown = " ".join(f"other_{letter}" for letter in "abcdefghijklmnopqrst")
@@ -125,8 +121,8 @@ def test_a_file_with_counts_only_gives_touch_only(tmp_path: Path, write: Write) 
     assert "no labels and no motion: no samples" in trace_import.report()
 
 
-def test_the_session_describes_its_file(tmp_path: Path, write: Write) -> None:
-    path = write(f"stamp,{CELLS},x", [f"{k},{counts(0)},0" for k in range(5)], "lab 3, night.csv")
+def test_the_session_describes_its_file(tmp_path: Path) -> None:
+    path = write(tmp_path, f"stamp,{CELLS},x", [f"{k},{counts(0)},0" for k in range(5)], "lab 3, night.csv")
     columns = ColumnMap.parse("label=x,units.time=ms")
     trace_import = read(path, tmp_path / "out", columns)
     session = imported(trace_import)
@@ -137,14 +133,14 @@ def test_the_session_describes_its_file(tmp_path: Path, write: Write) -> None:
     assert session.about["complete"] is True
 
 
-def test_an_imported_session_replays_like_its_trace_and_trains(tmp_path: Path, write: Write) -> None:
+def test_an_imported_session_replays_like_its_trace_and_trains(tmp_path: Path) -> None:
     lines = [f"{k / 100},{counts(k % 7)},{k // 150 % 2}" for k in range(600)]
-    trace_import = read(write(f"t,{CELLS},label", lines), tmp_path / "out")
+    trace_import = read(write(tmp_path, f"t,{CELLS},label", lines), tmp_path / "out")
     session = imported(trace_import)
     given = list[Any]()
     for recording in (trace_import.trace, session):
-        flow, sink = Flow("replay"), TestSink()
-        (flow.source(TestSource(Touch)) | Zero(scans=10)).to(sink)
+        sink = TestSink()
+        flow = flow_of(TestSource(Touch), sink, through=[Zero(scans=10)])
         asyncio.run(ReplayRunner(flow, recording, "again").execute())
         given.append(sink.rows(Zeroed, 0))
     trace, replayed = given
@@ -155,8 +151,8 @@ def test_an_imported_session_replays_like_its_trace_and_trains(tmp_path: Path, w
     assert trial.split == "train"
 
 
-def test_a_folder_with_other_files_is_refused(tmp_path: Path, write: Write) -> None:
-    trace = write(f"t,{CELLS}", [f"{n / 100},{n % 2},2,3,4,5,6" for n in range(50)])
+def test_a_folder_with_other_files_is_refused(tmp_path: Path) -> None:
+    trace = write(tmp_path, f"t,{CELLS}", [f"{n / 100},{n % 2},2,3,4,5,6" for n in range(50)])
     out = tmp_path / "thesis"
     out.mkdir()
     (out / "chapter.txt").touch()
@@ -165,9 +161,9 @@ def test_a_folder_with_other_files_is_refused(tmp_path: Path, write: Write) -> N
     assert [path.name for path in out.iterdir()] == ["chapter.txt"]
 
 
-def test_an_implausible_speed_or_rate_gives_a_warning(tmp_path: Path, write: Write) -> None:
+def test_an_implausible_speed_or_rate_gives_a_warning(tmp_path: Path) -> None:
     lines = [f"{k / 100},{counts(0)},{40 if k > 4 else 0}" for k in range(9)]
-    path = write(f"t,{CELLS},v", lines)
+    path = write(tmp_path, f"t,{CELLS},v", lines)
     trace_import = read(path, tmp_path)
     assert "moves in 4 of 9 rows, above 0.003 m/s, at up to 40 m/s" in trace_import.report()
     [doubt] = trace_import.trace.part.warnings

@@ -1,11 +1,12 @@
-"""Labels, and a small trained network."""
+"""Labels, recordings, and a small trained network."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trained_model import Check, Model
 from flows.learn.training.trainer import train
@@ -21,6 +22,13 @@ def label(samples: int, *runs: tuple[int, int]) -> Codes:
     for first, end in runs:
         result[first:end] = 1
     return result
+
+
+def shaken(seed: int, codes: Codes, cells: int = 6, **about: Any) -> LabelledRecording:
+    """Return a recording in which slip shakes every cell and static does not."""
+    spread = np.where(codes == 1, 40.0, 1.0)[:, None]
+    counts = np.random.default_rng(seed).normal(0, spread, (len(codes), cells)).round()
+    return LabelledRecording(counts.astype(np.int16), codes, **about)
 
 
 class Trained(NamedTuple):

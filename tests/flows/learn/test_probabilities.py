@@ -36,17 +36,12 @@ def test_a_probability_is_that_of_a_live_run(detector: Detector) -> None:
     np.testing.assert_array_equal(found[begin:], later)
 
 
-def test_a_window_ends_with_the_sample_that_is_judged() -> None:
-    counts = np.arange(150 * 6, dtype=np.int16).reshape(150, 6)
-    one = LabelledRecording(counts, np.zeros(150, np.int8))
-    assert one.windows(25, 10)[:, -1, 0].tolist() == counts[99::10, 0].tolist()
-    assert one.windows(100, 10)[0].tolist() == counts[:100].tolist()
-    assert len(one.known(10)) == len(one.windows(25, 10))
-
-
-def test_samples_with_an_unknown_label_are_not_fitted_to() -> None:
+def test_a_window_ends_with_the_sample_that_is_judged_after_the_warm_up_if_its_label_is_known() -> None:
     counts = np.arange(1800, dtype=np.int16).reshape(300, 6)
     label = np.where(np.arange(300) < 200, -1, 1).astype(np.int8)
     recording = LabelledRecording(counts, label)
     assert recording.slip[recording.known(10)].tolist() == [True] * 10
     assert recording.windows(25, 10)[:, -1, 0].tolist() == counts[recording.known(10), 0].tolist()
+    whole = replace(recording, label=np.ones_like(label))
+    assert whole.known(10)[0] == WARM_UP
+    assert whole.windows(100, 10)[0].tolist() == counts[WARM_UP - 99 : WARM_UP + 1].tolist()

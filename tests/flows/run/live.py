@@ -8,7 +8,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, VirtualLoop, run_virtually
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import EVERY, Batch, Clock, Fingertip, Run, Scores, Sink, Source, Touch, ms, s
+from operators import EVERY, Batch, Clock, Fingertip, Operator, Run, Scores, Sink, Source, Touch, ms, s
 
 
 def scores(first: int, count: int, probability: float = 0.9) -> list[Scores]:
@@ -16,10 +16,12 @@ def scores(first: int, count: int, probability: float = 0.9) -> list[Scores]:
     return [Scores.rows([k * 10 * ms], probability) for k in range(first, first + count)]
 
 
-def flow_of(source: Source[Any], *sinks: Sink[Any]) -> Flow:
-    """A flow from one source to sinks."""
+def flow_of(source: Source[Any], *sinks: Sink[Any], through: Sequence[Operator[Any, Any]] = ()) -> Flow:
+    """A flow from one source, through operators, to sinks."""
     flow = Flow("f")
     stream = flow.source(source)
+    for operator in through:
+        stream = stream | operator
     for sink in sinks:
         stream.to(sink)
     return flow

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from storage.layout import session_folder
-from tests.command import SLIPFLOW, slipflow
+from tests.command import SLIPFLOW, slipflow, succeed
 from tests.dask_cluster import DaskCluster, kill, two_workers
 from tests.flows.run import test_replays
 from tests.flows.run.recorder import record
@@ -48,8 +48,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def expected(lab: Path) -> tuple[dict[str, bytes], list[str]]:
     """Files and lines of one process."""
-    done = slipflow(*command(lab, lab / "one"), "--jobs", "1")
-    assert done.returncode == 0, done.stderr
+    done = succeed(*command(lab, lab / "one"), "--jobs", "1")
     assert "slip onset" in done.stdout
     return contents(lab / "one"), lines(done.stdout)
 
@@ -106,8 +105,7 @@ def test_after_a_killed_scheduler_the_same_command_continues(
     assert 0 < len(kept) < RECORDINGS
     cluster.start_scheduler(int(cluster.url.rpartition(":")[2]))
     cluster.add_worker()
-    done = slipflow(*arguments)
-    assert done.returncode == 0, done.stderr
+    done = succeed(*arguments)
     assert f"of {RECORDINGS} replayed already" in done.stderr
     assert contents(out) == expected[0]
     assert {name: session_folder(out, name).stat().st_ino for name in kept} == kept

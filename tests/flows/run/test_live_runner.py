@@ -59,10 +59,9 @@ def test_a_run_ends_after_its_duration() -> None:
 
 @pytest.mark.parametrize(("recording", "error"), [("stroke-9", "was interrupted"), (None, "")])
 def test_a_stop_flushes_and_commits_and_leaves_a_replay_incomplete(recording: str | None, error: str) -> None:
-    flow, sink, source = Flow("f"), TestSink(), Endless()
+    sink, source = TestSink(), Endless()
     source.recorded = recording
-    (flow.source(source) | Debounce(consecutive=2)).to(sink)
-    run = execute(flow, stops=(0.5,))
+    run = execute(flow_of(source, sink, through=[Debounce(consecutive=2)]), stops=(0.5,))
     assert (len(sink.rows(Slips)), sink.closed) == (1, 1)
     assert (run.live, run.recording, run.error) == (True, recording, error)
 

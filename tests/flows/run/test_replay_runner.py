@@ -1,4 +1,5 @@
 import asyncio
+import pickle
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import cos, sin
@@ -33,7 +34,9 @@ from operators import (
     ms,
     s,
 )
-from tests.flows.run.live import FaultySink
+from operators.detectors import TRAINED
+from storage.models import read_weights, shipped_path
+from tests.flows.run.live import FaultySink, flow_of
 from tests.storage.made import same
 
 
@@ -109,10 +112,9 @@ class AwaitsCancelledTask(TestSink):
 def test_a_replay_fails_with_its_first_error_if_a_sink_cannot_be_closed_and_closes_the_others(
     sink: TestSink, error: str, logged: list[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    flow, last = Flow("f"), TestSink()
-    flow.source(TestSource(Touch)).to(sink).to(last)
+    last = TestSink()
     with pytest.raises((EndpointError, OSError, RuntimeError), match=error):
-        asyncio.run(ReplayRunner(flow, recording(), "x").execute())
+        asyncio.run(ReplayRunner(flow_of(TestSource(Touch), sink, last), recording(), "x").execute())
     assert last.closed == 1
     assert caplog.messages == logged
 
@@ -124,9 +126,8 @@ def test_a_replay_that_is_cancelled_is_not_complete() -> None:
         task.cancel()
         await asyncio.sleep(0)
 
-    flow, sink = Flow("f"), FaultySink(before_write=cancelled)
-    flow.source(TestSource(Touch)).to(sink)
-    runner = ReplayRunner(flow, recording(), "x")
+    sink = FaultySink(before_write=cancelled)
+    runner = ReplayRunner(flow_of(TestSource(Touch), sink), recording(), "x")
     with pytest.raises(asyncio.CancelledError):
         asyncio.run(runner.execute())
     assert (runner.run.error, sink.closed) == ("was interrupted", 1)
@@ -189,6 +190,15 @@ def _halved(value: float) -> float:
     return value / 2
 
 
+def trained(kind: str, shift: float = 0.0) -> Score:
+    """A shipped detector, as if it were trained to another bias."""
+    path = shipped_path(kind)
+    weights, _ = read_weights(path, path.read_bytes())
+    bias = weights["out/bias"]
+    other = bias + np.arange(1, 1 + bias.size, dtype=np.float32) * np.float32(shift)
+    return Score(TRAINED[kind]({**weights, "out/bias": other}))
+
+
 LONG = np.zeros(2000)
 
 
@@ -201,15 +211,15 @@ LONG = np.zeros(2000)
         (Table(sin), Table(cos)),
         (Score(Detector(1)), Score(Detector(2))),
         (Score(Detector(1, 0.1)), Score(Detector(1, 0.2))),
+        *((trained(kind), trained(kind, 0.1)) for kind in TRAINED),
     ],
 )
 def test_the_declaration_tells_parameters_apart_but_not_processes(
     one: Operator[Zeroed, Any], other: Operator[Zeroed, Any]
 ) -> None:
     def declared(operator: Operator[Zeroed, Any]) -> list[str]:
-        flow = Flow("f")
-        (flow.source(TestSource(Zeroed)) | operator).to(TestSink())
-        return declaration(flow)
+        return declaration(flow_of(TestSource(Zeroed), TestSink(), through=[operator]))
 
-    assert declared(one) == declared(one.reset_copy()) != declared(other)
+    again: Operator[Zeroed, Any] = pickle.loads(pickle.dumps(one))  # noqa: S301 - our own bytes
+    assert declared(one) == declared(again) != declared(other)
     assert "0x" not in "".join(declared(Table(_halved)))

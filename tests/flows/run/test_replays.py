@@ -3,14 +3,11 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from shutil import copyfile, copytree, rmtree
+from shutil import copytree, rmtree
 
-import numpy as np
 import pytest
-from safetensors.numpy import load_file
 
 from connectors import Gripper, Mqtt
-from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import validate
 from flows.run.clocks import EventClock
@@ -23,11 +20,10 @@ from operators import Debounce, Score, Touch, Zero
 from operators.detectors import Psd
 from operators.errors import FlowError, InputError
 from operators.fingertip import TAKKTILE
-from storage import Session, save_weights
+from storage import Session
 from storage.files import put_checked, read_checked
 from storage.layout import SESSION, session_folder
-from storage.models import shipped_path
-from tests.flows.run.live import Described
+from tests.flows.run.live import Described, flow_of
 from tests.flows.run.recorder import record
 from tests.storage.made import contents, session_names
 
@@ -42,12 +38,10 @@ class Spoilt(TestSink):
     def take(self, batch: Slips):
         raise ValueError("no number")
 
-def felt(
-    out: str = "out", broker: str = "", spoilt: bool = False, least: float = 0.5, model: str = "psd"
-) -> Flow:
+def felt(out: str = "out", broker: str = "", spoilt: bool = False, least: float = 0.5) -> Flow:
     flow = Flow("felt")
     zeroed = flow.source(TestSource(Touch)) | Zero()
-    slips = zeroed | Score(load_detector(model)) | Debounce(threshold=least)
+    slips = zeroed | Score(load_detector("psd")) | Debounce(threshold=least)
     dataset = Dataset(out)
     zeroed.to(dataset)
     slips.to(dataset)
@@ -148,25 +142,6 @@ def test_a_repeated_task_changes_nothing_and_another_flow_is_refused(
         Replays(other, four[:1])
 
 
-@pytest.mark.parametrize("kind", ["tcn", "paper_tcn", "frequency_cnn"])
-def test_a_replay_whose_detector_was_trained_again_is_not_taken_for_done(
-    kind: str, felt: str, four: list[Path], tmp_path: Path
-) -> None:
-    model = tmp_path / "mine.safetensors"
-    copyfile(shipped_path(kind), model)
-    flow = source(felt, out=str(tmp_path / "out"), model=str(model))
-    assert [each.error for each in Replays(flow, four[:1]).run()] == [""]
-    FlowSource.flow.cache_clear()  # as in another command
-    assert Replays(flow, four[:1]).existing == four[:1]
-
-    weights = load_file(model)
-    weights["out/bias"] += np.arange(1, 1 + weights["out/bias"].size, dtype=np.float32)
-    save_weights(model, weights, {"detector": kind})
-    FlowSource.flow.cache_clear()
-    with pytest.raises(InputError, match="is of another recording, flow or detector"):
-        Replays(flow, four[:1])
-
-
 def test_a_replay_by_other_code_or_without_a_declaration_is_not_taken_for_done(
     four: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -246,8 +221,8 @@ def test_a_file_is_opened_by_its_content_under_any_name(name: str, tmp_path: Pat
 
 
 def test_a_replay_needs_a_detector_for_its_recording_not_for_the_live_source(four: list[Path]) -> None:
-    flow = Flow("faster")
-    (flow.source(Described(replace(TAKKTILE, rate=200.0), (0,))) | Zero() | Score(Psd())).to(TestSink())
+    fast = Described(replace(TAKKTILE, rate=200.0), (0,))
+    flow = flow_of(fast, TestSink(), through=[Zero(), Score(Psd())])
     check_outputs(flow, four[:1])
     assert ReplayRunner(flow, Session.open(four[0]), "again").compiled.entries
     with pytest.raises(FlowError, match="psd needs 100 Hz; the data has 200 Hz"):

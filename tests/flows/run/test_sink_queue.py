@@ -124,10 +124,9 @@ def test_a_mistake_in_a_sink_at_the_end_of_the_streams_is_an_error_too() -> None
         def flush(self) -> Scores:
             return scores(9, 1)[0]
 
-    flow, wrong = Flow("f"), FaultySink(failures=[KeyError("row")])
-    (flow.source(TestSource(Scores, scores(0, 3))) | Held()).to(wrong)
+    wrong = FaultySink(failures=[KeyError("row")])
     with pytest.raises(OperatorError, match=r"faultysink: KeyError: 'row'"):
-        execute(flow)
+        execute(flow_of(TestSource(Scores, scores(0, 3)), wrong, through=[Held()]))
 
 
 async def for_ever() -> None:

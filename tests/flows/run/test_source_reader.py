@@ -137,25 +137,6 @@ def test_the_last_rows_of_a_source_are_delivered_even_if_they_are_of_the_future(
     assert (len(sink.rows(Scores)), run.sources["scores"].late) == (2, 0)
 
 
-def test_a_source_with_late_rows_only_is_stale_until_others_come(caplog: pytest.LogCaptureFixture) -> None:
-    seen = list[tuple[bool, bool, str]]()
-
-    def look(runner: LiveRunner, _: object) -> None:
-        status = runner.run.sources["scores"]
-        seen.append((status.up, status.stale, status.error))
-
-    def stamp(now: int) -> int:  # two rows of the future
-        return now + 30 * s * (NOW + 2 * s <= now < NOW + 2 * s + 20 * ms)
-
-    flow = flow_of(Stamping(stamp, in_run_time=True), TestSink())
-    run = execute(flow, duration=40 * s, start=NOW, at=dict.fromkeys((4.0, 10.0, 35.0), look))
-    reason = "delivered only late rows for 5 s"
-    assert seen == [(True, False, ""), (False, True, reason), (True, False, "")]
-    [gap] = run.sources["scores"].gaps
-    assert (round((gap.start - NOW) / s), round((gap.end - NOW) / s), gap.reason) == (3, 32, reason)
-    assert caplog.messages == [f"scores {reason}: its clock was set back, or a row was of the future"]
-
-
 def test_a_source_whose_first_row_is_wrong_is_not_called_silent(caplog: pytest.LogCaptureFixture) -> None:
     wrong = Scores(np.array([0]), np.array([0.9]), finger=3)
     with pytest.raises(SlipflowError, match=r"source 'scores' yielded fingertip 3, but declares \(-1,\)"):
@@ -189,24 +170,42 @@ class Pausing(Endless):
             await asyncio.sleep(self._pause)
 
 
-def test_a_source_that_falls_silent_is_stale_until_its_next_row(caplog: pytest.LogCaptureFixture) -> None:
+def two_of_the_future(now: int) -> int:
+    return now + 30 * s * (NOW + 2 * s <= now < NOW + 2 * s + 20 * ms)
+
+
+@pytest.mark.parametrize(
+    ("source", "reason", "gap_end", "likely"),
+    [
+        (Pausing(300, 20.0, 200), "delivered no rows for 5 s", 23, ""),
+        (
+            Stamping(two_of_the_future, in_run_time=True),
+            "delivered only late rows for 5 s",
+            32,
+            ": its clock was set back, or a row was of the future",
+        ),
+    ],
+    ids=["silent", "late rows"],
+)
+def test_a_source_without_rows_to_use_is_stale_until_its_next_one(
+    source: Endless, reason: str, gap_end: int, likely: str, caplog: pytest.LogCaptureFixture
+) -> None:
     seen = list[tuple[bool, bool, str]]()
 
     def look(runner: LiveRunner, _: object) -> None:
         status = runner.run.sources["scores"]
         seen.append((status.up, status.stale, status.error))
 
+    looks = dict.fromkeys((4.0, 10.0, gap_end + 1.0), look)
     with caplog.at_level(logging.INFO, "slipflow"):
-        flow = flow_of(Pausing(100, 20.0, 100), TestSink())
-        run = execute(flow, duration=22 * s, at=dict.fromkeys((4.0, 8.0, 21.5), look))
-    assert seen == [(True, False, ""), (False, True, "delivered no rows for 5 s"), (True, False, "")]
+        run = execute(flow_of(source, TestSink()), duration=(gap_end + 2) * s, start=NOW, at=looks)
+    assert seen == [(True, False, ""), (False, True, reason), (True, False, "")]
     [gap] = run.sources["scores"].gaps
-    assert ((gap.end - gap.start) // s, gap.reason) == (20, "delivered no rows for 5 s")
-    assert [text.partition(":")[0] for text in caplog.messages] == [
-        "scores delivered no rows for 5 s",
-        "scores works again",
-    ]
-    assert not Summary.of(run).error
+    assert (round((gap.start - NOW) / s), round((gap.end - NOW) / s), gap.reason) == (3, gap_end, reason)
+    stale, again = caplog.messages
+    assert stale.startswith(f"scores {reason}{likely}")
+    assert again == "scores works again"
+    assert reason not in Summary.of(run).error
 
 
 @pytest.mark.parametrize(("rows", "duration"), [(0, s), (0, 30 * s), (100, 30 * s)])

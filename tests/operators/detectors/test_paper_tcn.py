@@ -1,20 +1,21 @@
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from operators import SLIP
 from operators.detectors import PaperTcn
+from tests.operators.detectors.test_psd import TRACE, real_windows
 
-REAL = Path(__file__).parents[3].parent / "shared" / "real"
 Arrays = dict[str, NDArray[Any]]
 
 
 def _real(name: str) -> Arrays:
-    if not (REAL / name).exists():
-        pytest.skip(f"no real weights at {REAL / name}")
-    with np.load(REAL / name) as arrays:
+    path = TRACE.with_name(name)
+    if not path.exists():
+        pytest.skip(f"no real weights at {path}")
+    with np.load(path) as arrays:
         return dict(arrays)
 
 
@@ -26,9 +27,7 @@ def test_the_probabilities_equal_those_of_the_original_network() -> None:
 
 def test_it_has_the_originals_accuracy_on_the_real_trace() -> None:
     detector = PaperTcn(_real("paper_tcn.npz"))
-    table = np.genfromtxt(REAL / "mat_trace.csv", delimiter=",", names=True)
-    counts = np.stack([table[f"s{cell}"] for cell in range(1, 7)], axis=1).astype(np.int16)
-    windows = np.lib.stride_tricks.sliding_window_view(counts, 100, axis=0).swapaxes(1, 2)
-    right = (detector.score(windows) >= 0.5) == (table["label"][99:] == 1)
+    windows, labels = real_windows(100)
+    right = (detector.score(windows) >= 0.5) == (labels == SLIP)
     assert len(right) == 278
     assert right.mean() == pytest.approx(0.687, abs=5e-4)

@@ -19,7 +19,8 @@ def _window(*channels: Reals) -> Reals:
     return window
 
 
-def _trace(length: int) -> tuple[Counts, Codes]:
+def real_windows(length: int) -> tuple[Counts, Codes]:
+    """Return the windows of the real trace and the labels of their newest samples."""
     if not TRACE.exists():
         pytest.skip(f"no real trace at {TRACE}")
     table = np.genfromtxt(TRACE, delimiter=",", names=True)
@@ -62,11 +63,11 @@ def test_fitted_takes_the_threshold_of_the_best_balanced_accuracy() -> None:
         psd.fitted(windows, np.zeros(7, np.int8))
 
 
-def test_short_windows_separate_slip_from_static_on_the_real_trace() -> None:
-    windows, labels = _trace(25)
+def test_short_windows_separate_slip_from_static_on_the_realreal_windows() -> None:
+    windows, labels = real_windows(25)
     assert _accuracies(Psd().score(windows), labels) == pytest.approx((0.796, 0.797), abs=1e-3)
     fitted = Psd().fitted(windows, labels)
     assert _accuracies(fitted.score(windows), labels)[1] == pytest.approx(0.806, abs=1e-3)
-    windows, labels = _trace(100)
+    windows, labels = real_windows(100)
     fitted = Psd(100).fitted(windows, labels)
     assert _accuracies(fitted.score(windows), labels)[1] < 0.55

@@ -11,13 +11,10 @@ from operators.rotation import rotation_difference
 START: Pose = (0.4, 0.1, 0.2, math.pi, 0.0, 0.0)  # looks down
 
 
-def test_a_line_has_a_trapezoidal_speed_profile() -> None:
-    assert Line(((0.5, 0.1, 0.2, math.pi, 0, 0),), 0.1, 0.5).seconds(START) == pytest.approx(1.0 + 0.2)
-
-
-def test_the_duration_of_a_pure_rotation_follows_from_its_angle() -> None:
-    turned = offset_pose(START, yaw=0.3)
-    assert Line((turned,), 0.1, 0.5).seconds(START) == pytest.approx(0.3 / 0.1 + 0.2)
+@pytest.mark.parametrize(("yaw", "seconds"), [(0.0, 0.1 / 0.1 + 0.2), (0.3, 0.3 / 0.1 + 0.2)])
+def test_a_line_has_a_trapezoidal_speed_profile_of_its_way_or_angle(yaw: float, seconds: float) -> None:
+    end = offset_pose(START, (0.0, 0.0, 0.0) if yaw else (0.1, 0.0, 0.0), yaw=yaw)
+    assert Line((end,), 0.1, 0.5).seconds(START) == pytest.approx(seconds)
 
 
 @pytest.mark.parametrize(("time", "angle", "seconds"), [(2.0, 2.0, 3.0), (0.5, 0.25, 1.0)])

@@ -1,5 +1,5 @@
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from flows.lab.experiments.study import StepThreshold
 from flows.lab.experiments.tap_and_lift import BLOWS, SIZES, TAP_END, judge_tap, tap
 from flows.lab.experiments.trial import MOVED, STILL, Conditions, Trace, Trial
 from operators import Grip
-from tests.flows.lab.experiments.conftest import During, MakeTrace
+from tests.flows.lab.experiments.traces import during, make_trace
 
 NEVER = StepThreshold(math.inf)  # never reports slip
 RULE = Grip(settle=0)
@@ -22,21 +22,18 @@ def simulated(trial: Trial) -> Trace:
     return trace
 
 
-@pytest.fixture
-def hit(make_trace: MakeTrace, during: During) -> Callable[..., Trace]:
+SLIDES = [(FIRST, FIRST + 0.05), (SECOND, SECOND + 0.05)]
+
+
+def hit(*slip: tuple[float, float], slides: Sequence[tuple[float, float]] = SLIDES) -> Trace:
     """A trace with two slides of 2 mm and slip decisions in the given spans (s)."""
-    sliding = [(FIRST, FIRST + 0.05), (SECOND, SECOND + 0.05)]
-
-    def trace(*slip: tuple[float, float], slides: list[tuple[float, float]] = sliding) -> Trace:
-        return make_trace(speed=during(*slides, value=0.04), probability=during(*slip))
-
-    return trace
+    return make_trace(speed=during(*slides, value=0.04), probability=during(*slip))
 
 
 GOOD = ((FIRST + 0.02, FIRST + 0.2), (SECOND + 0.02, SECOND + 0.2))
 
 
-def test_two_registered_blows_and_nothing_else_are_a_success(hit: Callable[..., Trace]) -> None:
+def test_two_registered_blows_and_nothing_else_are_a_success() -> None:
     outcome = judge_tap(hit(*GOOD), RULE)
     assert (outcome.ending, outcome.success) == ("registered", True)
     counted = {"false_firm": 0, "paper": 1, "moved": 2, "soft": 1, "lead": -30, "slide": 2}
@@ -56,19 +53,19 @@ def test_two_registered_blows_and_nothing_else_are_a_success(hit: Callable[..., 
     ],
 )
 def test_each_failure_has_its_ending_and_the_papers_definition_forgives_false_slips(
-    hit: Callable[..., Trace], slip: tuple[tuple[float, float], ...], ending: str, *, paper: bool
+    slip: tuple[tuple[float, float], ...], ending: str, *, paper: bool
 ) -> None:
     outcome = judge_tap(hit(*slip), RULE)
     assert (outcome.ending, outcome.metrics["paper"]) == (ending, paper)
 
 
-def test_missed_blows_are_counted_by_the_size_of_their_slide(hit: Callable[..., Trace]) -> None:
+def test_missed_blows_are_counted_by_the_size_of_their_slide() -> None:
     metrics = judge_tap(hit(GOOD[1], slides=[(FIRST, FIRST + 0.02), (SECOND, SECOND + 0.08)]), RULE).metrics
     found = {size: (metrics[f"blows {size}"], metrics[f"missed {size}"]) for size in SIZES}
     assert found == {"0.5 to 1 mm": (1, 1), "1 to 2 mm": (0, 0), "above 2 mm": (1, 0)}
 
 
-def test_a_blow_that_moves_nothing_must_not_be_registered(hit: Callable[..., Trace]) -> None:
+def test_a_blow_that_moves_nothing_must_not_be_registered() -> None:
     one = [(FIRST, FIRST + 0.05)]
     assert judge_tap(hit(GOOD[0], slides=one), RULE).success
     outcome = judge_tap(hit(*GOOD, slides=one), RULE)
@@ -79,15 +76,13 @@ def test_a_blow_that_moves_nothing_must_not_be_registered(hit: Callable[..., Tra
     )
 
 
-def test_a_slide_between_still_and_moved_may_be_registered_or_not(hit: Callable[..., Trace]) -> None:
+def test_a_slide_between_still_and_moved_may_be_registered_or_not() -> None:
     little = [(FIRST, FIRST + 0.05), (SECOND, SECOND + 0.01)]  # 2 and 0.4 mm
     assert judge_tap(hit(*GOOD, slides=little), RULE).success
     assert judge_tap(hit(GOOD[0], slides=little), RULE).success
 
 
-def test_a_slip_of_the_passive_fingers_alone_may_be_registered_or_not(
-    hit: Callable[..., Trace], during: During
-) -> None:
+def test_a_slip_of_the_passive_fingers_alone_may_be_registered_or_not() -> None:
     trace = replace(hit(*GOOD, slides=[]), fastest=during((FIRST, FIRST + 0.05), value=0.04))
     assert judge_tap(trace, RULE).ending == "false at soft blow"  # the second
     first = replace(trace, probability=during(GOOD[0]))
@@ -95,7 +90,7 @@ def test_a_slip_of_the_passive_fingers_alone_may_be_registered_or_not(
     assert judge_tap(replace(first, probability=during()), RULE).success
 
 
-def test_an_object_knocked_out_of_the_gripper_is_dropped(hit: Callable[..., Trace], during: During) -> None:
+def test_an_object_knocked_out_of_the_gripper_is_dropped() -> None:
     trace = replace(hit(*GOOD), dropped=during((5.5, TAP_END)) > 0)
     assert judge_tap(trace, RULE).ending == "dropped"
 

@@ -8,6 +8,7 @@ import pytest
 from flows.learn.evaluation import evaluation_study
 from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
 from flows.learn.labelled_recordings import LabelledRecording
+from tests.flows.learn.conftest import shaken
 
 Having: TypeAlias = Callable[[Sequence[LabelledRecording]], Path]
 
@@ -17,18 +18,15 @@ def found(tiny: Path) -> Evaluation:
     return evaluate(tiny, names=["psd", "logistic", "tcn"], speed=1e-4)
 
 
-def stroke(seed: int, group: str) -> LabelledRecording:
-    """Return a recording in which slip shakes every cell."""
-    random = np.random.default_rng(seed)
-    label = (np.arange(700) // 100 % 2).astype(np.int8)
-    counts = random.normal(0, np.where(label == 1, 30, 1)[:, None], (700, 6)).round().astype(np.int16)
-    return LabelledRecording(counts, label, name=f"{group}-{seed}", group=group)
-
-
 @pytest.fixture(scope="session")
 def surfaces() -> list[LabelledRecording]:
     """Return three recordings on each of three surfaces."""
-    return [stroke(10 * n + k, group) for n, group in enumerate(("steel", "wood", "wool")) for k in range(3)]
+    label = (np.arange(700) // 100 % 2).astype(np.int8)
+    return [
+        shaken(10 * n + k, label, name=f"{group}-{k}", group=group)
+        for n, group in enumerate(("steel", "wood", "wool"))
+        for k in range(3)
+    ]
 
 
 @pytest.fixture

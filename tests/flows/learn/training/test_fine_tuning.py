@@ -10,13 +10,14 @@ from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training import trainer
 from flows.learn.training.dense_training import train_dense
 from flows.learn.training.recipe import Recipe
-from flows.learn.training.trained_model import Model, label_scores, provenance, write_model
+from flows.learn.training.trained_model import label_scores, provenance, write_model
 from flows.learn.training.trained_model import learned as seen
-from flows.learn.training.trainer import further, train
+from flows.learn.training.trainer import further
 from operators.detectors import Tcn
 from operators.detectors.weights import Weights
 from operators.errors import InputError
 from storage import load_detector
+from tests.flows.learn.training.conftest import TrainOn
 
 STROKES = Path(__file__).parents[5] / "shared" / "real" / "strokes"
 _CELLS = np.array([1.0, 0.6, 0.3, -0.9, -0.5, -0.4])  # response to shear
@@ -61,21 +62,13 @@ def parent(arrays: Weights, tmp_path: Path) -> Path:
     return write_model(tmp_path / "parent.safetensors", arrays, card).path
 
 
-def _loading(monkeypatch: pytest.MonkeyPatch, recordings: list[LabelledRecording]) -> None:
-    monkeypatch.setattr(trainer, "load", lambda _: recordings)
-
-
 def test_few_minutes_improve_a_model_on_what_is_held_out_and_its_card_states_the_origin(
-    parent: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    parent: Path, train_on: TrainOn
 ) -> None:
-    given, parent_network = (
-        [stroked(seed, stroke=1.0, amplitude=30.0) for seed in (10, 11)],
-        load_detector(str(parent)),
-    )
+    given = [stroked(seed, stroke=1.0, amplitude=30.0) for seed in (10, 11)]
+    parent_network, done = load_detector(str(parent)), list[int]()
     assert isinstance(parent_network, Tcn)
-    _loading(monkeypatch, given)
-    out, done = tmp_path / "tuned.safetensors", list[int]()
-    model = train([tmp_path], out, Recipe(steps=30), start=str(parent), progress=lambda n, *_: done.append(n))
+    model = train_on(given, Recipe(steps=30), start=str(parent), progress=lambda n, *_: done.append(n))
     scores = model.card["scores"]
     assert scores["after"]["balanced"] > scores["before"]["balanced"]
     assert "NOT better" not in model.report()
@@ -83,19 +76,14 @@ def test_few_minutes_improve_a_model_on_what_is_held_out_and_its_card_states_the
     assert len(seen(model.card, [stroked(0), *given, stroked(2)])) == 3, "the data of the parent, too"
     assert model.card["recipe"] == asdict(further(parent_network, Recipe(steps=30)))
     assert (len(done), "debounce" in model.card) == (30, True)
-    assert isinstance(load_detector(out), Tcn)
+    assert isinstance(load_detector(model.path), Tcn)
 
 
-def test_the_test_split_is_held_out_and_a_worse_model_is_called_so(
-    parent: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_test_split_is_held_out_and_a_worse_model_is_called_so(parent: Path, train_on: TrainOn) -> None:
     wrong, truth = stroked(10), stroked(11)
-    _loading(monkeypatch, [replace(wrong, label=1 - wrong.label), replace(truth, split="test")])
-
-    def tuned(start: Path) -> Model:
-        return train([tmp_path], tmp_path / "m.safetensors", Recipe(steps=60), start=str(start))
-
-    assert "NOT better than the model that it was trained from" in tuned(parent).report()
+    given = [replace(wrong, label=1 - wrong.label), replace(truth, split="test")]
+    model = train_on(given, Recipe(steps=60), start=str(parent))
+    assert "NOT better than the model that it was trained from" in model.report()
 
 
 @pytest.mark.parametrize(
@@ -106,20 +94,15 @@ def test_the_test_split_is_held_out_and_a_worse_model_is_called_so(
     ],
 )
 def test_recordings_that_cannot_be_learned_from_are_refused(
-    parent: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    change: Callable[[LabelledRecording], LabelledRecording],
-    reason: str,
+    parent: Path, train_on: TrainOn, change: Callable[[LabelledRecording], LabelledRecording], reason: str
 ) -> None:
-    _loading(monkeypatch, [change(stroked(0))])
     with pytest.raises(InputError, match=reason):
-        train([tmp_path], tmp_path / "m.safetensors", Recipe(steps=3), start=str(parent))
+        train_on([change(stroked(0))], Recipe(steps=3), start=str(parent))
 
 
-def test_only_a_tcn_is_trained_further(tmp_path: Path) -> None:
+def test_only_a_tcn_is_trained_further(train_on: TrainOn) -> None:
     with pytest.raises(InputError, match="psd: is not a tcn: only a tcn can be trained further"):
-        train([tmp_path], tmp_path / "m.safetensors", Recipe(), start="psd")
+        train_on([], Recipe(), start="psd")
 
 
 def _read(name: str) -> LabelledRecording:

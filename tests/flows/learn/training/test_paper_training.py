@@ -18,6 +18,7 @@ from flows.learn.training.training_loop import Trained
 from operators.detectors import Detector, PaperTcn
 from operators.detectors.frequency_cnn import FrequencyCnn
 from operators.errors import InputError
+from tests.flows.learn.conftest import shaken
 
 DETECTORS: dict[str, Callable[[Arrays], Detector]] = {
     "frequency_cnn": FrequencyCnn,
@@ -30,13 +31,9 @@ both = pytest.mark.parametrize("name", ["frequency_cnn", "paper_tcn"])
 
 
 def _recording(seed: int, samples: int = 700) -> LabelledRecording:
-    """Stick-slip at 15 Hz for some seconds, and rest for as long."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(samples)
-    slip = (2 * time // samples + seed) % 2 == 1
-    wave = np.sin(2 * np.pi * 15 * time / 100 + rng.uniform(0, 6))
-    counts = -150 + 3 * rng.normal(size=(samples, 6)) + 60 * np.outer(slip * wave, rng.uniform(0.5, 1, 6))
-    return LabelledRecording(counts.round().astype(np.int16), slip.astype(np.int8))
+    """Slip for some seconds, and rest for as long."""
+    slip = (2 * np.arange(samples) // samples + seed) % 2
+    return shaken(seed, slip.astype(np.int8))
 
 
 SHORT = [_recording(seed, 300) for seed in range(2)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flows.learn.labelled_recordings import LabelledRecording, by_split, load
-from flows.learn.training import dense_training, trainer
+from flows.learn.training import dense_training
 from flows.learn.training.dense_training import train_dense
 from flows.learn.training.recipe import PaperRecipe, Recipe
 from flows.learn.training.trained_model import learned, repeated
@@ -17,6 +17,7 @@ from operators.detectors import PaperTcn, Tcn
 from operators.errors import InputError, ParameterError
 from storage import load_detector
 from tests.flows.learn.conftest import Trained
+from tests.flows.learn.training.conftest import TrainOn
 
 SMALL = Recipe(filters=4, units=4, steps=6, batch=8, checks=3, rate=2e-2)
 
@@ -37,20 +38,16 @@ def test_a_model_and_its_card_say_where_they_come_from(small: Trained) -> None:
     assert sorted(path.name for path in out.parent.iterdir()) == ["small.json", "small.safetensors"]
 
 
-def test_a_network_of_the_paper_is_trained_by_its_recipe(
-    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_network_of_the_paper_is_trained_by_its_recipe(tiny: Path, train_on: TrainOn) -> None:
     few = [found[0] for found in by_split(load(tiny)).values()]
-    monkeypatch.setattr(trainer, "load", lambda _: few)
-    out = tmp_path / "paper.safetensors"
-    model = train([tiny], out, PaperRecipe("paper_tcn", epochs=1))
-    assert isinstance(load_detector(out), PaperTcn)
+    model = train_on(few, PaperRecipe("paper_tcn", epochs=1))
+    assert isinstance(load_detector(model.path), PaperTcn)
     assert model.card["recipe"]["batch"] == 256
     assert len(model.card["curve"]) == 1
 
 
 def test_a_few_recordings_are_divided_in_time_but_not_those_of_the_test_split(
-    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tiny: Path, train_on: TrainOn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     used = list[LabelledRecording]()
 
@@ -63,20 +60,18 @@ def test_a_few_recordings_are_divided_in_time_but_not_those_of_the_test_split(
         replace(each, split=split)
         for each, split in zip(load(tiny), ("train", "train", "test"), strict=False)
     ]
-    monkeypatch.setattr(trainer, "load", lambda _: few)
-    model = train([tiny], tmp_path / "few.safetensors", SMALL)
+    model = train_on(few, SMALL)
     assert {each.name for each in used} == {each.name for each in few[:2]} != {few[2].name}
     assert [each.name for each in learned(model.card, few)] == [each.name for each in few[:2]]
 
 
-def test_a_recording_in_two_splits_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_in_two_splits_is_refused(train_on: TrainOn) -> None:
     counts = np.arange(54, dtype=np.int16).reshape(9, 6)
     one = LabelledRecording(counts, np.zeros(9, np.int8), name="one", split="train")
     untouched = [replace(one, counts=0 * counts, split=split) for split in ("train", "test")]
     assert not repeated(untouched, ["train", "test"])  # all of one length are equal
-    monkeypatch.setattr(trainer, "load", lambda _: [one, replace(one, name="copy", split="test")])
     with pytest.raises(InputError, match=r"copy \(test\) is the same recording as one \(train\): give each"):
-        train([tmp_path], tmp_path / "model.safetensors", SMALL)
+        train_on([one, replace(one, name="copy", split="test")], SMALL)
 
 
 def test_another_format_is_refused_before_anything_is_read(tmp_path: Path) -> None:
@@ -86,12 +81,9 @@ def test_another_format_is_refused_before_anything_is_read(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("split", ["validation", "test"])
 def test_a_split_without_labels_after_the_warm_up_is_refused(
-    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, split: str
+    tiny: Path, train_on: TrainOn, split: str
 ) -> None:
-    def short(dataset: Path) -> list[LabelledRecording]:
-        found = [parts[0] for parts in by_split(load(dataset)).values()]
-        return [each.piece(slice(0, 211)) if each.split == split else each for each in found]
-
-    monkeypatch.setattr(trainer, "load", short)
+    found = [parts[0] for parts in by_split(load(tiny)).values()]
+    short = [each.piece(slice(0, 211)) if each.split == split else each for each in found]
     with pytest.raises(ParameterError, match=f"{split} recordings with labels after their warm-up of 2.11 s"):
-        train([tiny], tmp_path / "model.safetensors", SMALL)
+        train_on(short, SMALL)
