@@ -89,9 +89,9 @@ class SimulatedDisk:
     def noting_locks(self, flock: Callable[..., int | None]) -> Callable[..., int | None]:
         """Return a lock function whose locks end when the process that holds them is killed."""
 
-        def locked(descriptor: int) -> int | None:
+        def locked(descriptor: int, *kind: int) -> int | None:
             process = current()  # raises if the process was killed: it locks nothing
-            found = flock(descriptor)
+            found = flock(descriptor, *kind)
             if process and found is not None:
                 self._locks[found] = process
                 process.on_kill.append(lambda: self._unlock(found, process))

@@ -17,7 +17,6 @@ from operators.errors import InputError
 
 Write = Callable[..., Path]
 HEADER = "t,s1,s2,s3,s4,s5,s6"
-MAT = Path(__file__).parents[4] / "shared" / "real" / "mat_trace.csv"
 
 
 @pytest.fixture
@@ -242,19 +241,6 @@ def test_a_file_without_a_time_is_timed_by_a_rate(write: Write) -> None:
     trace = Trace(path, ColumnMap(rate=30))
     assert trace.part.touch.time.tolist() == [0, 33_333_333, 66_666_667, 100_000_000]
     assert trace.part.columns.rate == pytest.approx(30)
-
-
-def test_the_real_trace_is_read_whole() -> None:
-    if not MAT.exists():
-        pytest.skip(f"{MAT} is missing: the shared material belongs next to the checkout")
-    trace = Trace(MAT)
-    assert (len(trace.part.touch), type(trace.part.touch), trace.part.touch.time[0]) == (
-        377,
-        Zeroed,
-        6_569_355_000,
-    )
-    assert set(trace.part.labels.tolist()) == {0, 1}
-    assert trace.part.touch.counts[0].tolist() == [-10, -142, -475, -167, -3, -2]
 
 
 @pytest.mark.parametrize(
