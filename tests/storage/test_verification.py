@@ -12,7 +12,7 @@ from operators.errors import InputError
 from operators.ports import Gap, SinkStatus, SourceStatus
 from storage import LabelSpan, Session, verify
 from storage.parts import read_manifest, write_manifest
-from tests.storage.made import new_run, side_by_side, two_sessions, write
+from tests.storage.made import new_episodes, new_run, side_by_side, write
 
 BATCHES = side_by_side(5)
 ENDLESS = (
@@ -23,7 +23,11 @@ ENDLESS %= "9" * 4000
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return two_sessions(tmp_path_factory.mktemp("whole"), BATCHES)
+    """A dataset of the sessions one, of all the batches, and two, of the first five."""
+    root = tmp_path_factory.mktemp("whole")
+    write(root, new_run(), [*BATCHES, new_episodes((0, 9, "hold"))]).close()
+    write(root, new_run("two"), BATCHES[:5]).close()
+    return root
 
 
 @pytest.fixture

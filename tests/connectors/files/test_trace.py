@@ -14,19 +14,9 @@ from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from operators.batch import EVERY, Motion, Touch, Zeroed, concat
 from operators.errors import InputError
+from tests.connectors.files.conftest import Write
 
-Write = Callable[..., Path]
 HEADER = "t,s1,s2,s3,s4,s5,s6"
-
-
-@pytest.fixture
-def write(tmp_path: Path) -> Write:
-    def write_lines(*lines: str) -> Path:
-        path = tmp_path / "trace.csv"
-        path.write_text("\n".join([*lines, ""]), encoding="utf-8")
-        return path
-
-    return write_lines
 
 
 def test_a_trace_is_read_as_it_is_written(write: Write) -> None:
@@ -186,7 +176,7 @@ def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, co
     ],
 )
 def test_a_file_is_refused_with_the_remedy(write: Write, text: str, columns: str, complaint: str) -> None:
-    path = write(*text.split("|")) if text else write()
+    path = write(*text.split("|")) if text else write(end="")
     with pytest.raises(InputError) as caught:
         _ = Trace(path, ColumnMap.parse(columns)).part.touch
     assert str(caught.value) == f"{path}{complaint}"
