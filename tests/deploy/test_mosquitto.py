@@ -50,14 +50,10 @@ def settings(folder: Path) -> list[str]:
     return text.splitlines()
 
 
-def login(user: str | None, password: str | None = None) -> None:
+def login(user: str, password: str | None = None) -> None:
     """Set the user and password (default: the correct one) for later connections."""
-    password = PASSWORDS.get(user or "") if password is None else password
-    for name, value in ((USER, user), (PASSWORD, password)):
-        if value is None:
-            os.environ.pop(name, None)
-        else:
-            os.environ[name] = value
+    os.environ[USER] = user
+    os.environ[PASSWORD] = PASSWORDS[user] if password is None else password
 
 
 @pytest.fixture
@@ -102,7 +98,7 @@ async def test_other_topics_and_clients_without_a_password_are_refused(shipped: 
     ):
         with pytest.raises(EndpointError, match=f"refuses to publish {topic}"):
             await send(shipped, user, topic)
-    for name, password in (None, None), ("fingertip", "wrong"), ("reader", ""), ("stranger", "secret"):
+    for name, password in ("", ""), ("fingertip", "wrong"), ("reader", ""), ("stranger", "secret"):
         login(name, password)
         with pytest.raises(EndpointError, match="cannot connect"):
             await connect(Broker.parse(shipped.url), "stranger")
