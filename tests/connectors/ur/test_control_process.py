@@ -32,7 +32,8 @@ def ended(control: MagicMock) -> list[str]:
 
 @pytest.fixture
 def pipe(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Connection, Connection]]:
-    monkeypatch.setattr(control_process.signal, "signal", MagicMock())  # which only a main thread may call
+    handle = MagicMock()  # only a main thread may set signal handlers
+    monkeypatch.setattr("connectors.ur.control_process.signal.signal", handle)
     ours, theirs = multiprocessing.Pipe()
     yield ours, theirs
     ours.close()
