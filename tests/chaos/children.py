@@ -3,8 +3,8 @@
 record FOLDER COUNTS RATE    Record until killed. COUNTS is a file of four 64-bit numbers: rows of touch and
                              motion that were produced, and that the dataset accepted. Touch has RATE rows
                              per second, motion a quarter more.
-publish URL OUTBOX           Publish an event for each touch row until SIGTERM. Print a line `event TIME` for
-                             each event that must not be lost from then on.
+publish URL OUTBOX           Publish 100 events per second until SIGTERM. Print a line `event TIME` for each
+                             event that must not be lost from then on.
 follow URL POSITION LIST     Append time (ns) and identifier of each event to LIST.
 """
 
@@ -14,7 +14,6 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -26,12 +25,13 @@ from connectors import Consumer, Mqtt
 from flows.graph import Flow
 from flows.run.live_runner import LiveRunner
 from flows.run.supervision import signals_to
-from operators import EVERY, SLIP, STATIC, Batch, Faults, Motion, Operator, Slips, Touch, Zero, Zeroed
+from operators import EVERY, Batch, Faults, Motion, Slips, Touch
 from operators.batch import s
 from operators.errors import EndpointError
 from storage import Dataset
 from storage.dataset import Recordable
 from tests.chaos.numbered import Numbered, motion, touch
+from tests.faults.simulated_rig import EVENT_EVERY, EveryFifth
 
 SESSION: Final = "killed"
 KINDS: tuple[type[Batch], ...] = (Touch, Motion)
@@ -64,20 +64,6 @@ class Counted(Dataset):
         self._accepted[column] = before + len(batch)  # `write` does not always call `take`
 
 
-@dataclass
-class Alternating(Operator[Zeroed, Slips]):
-    """Slip event at each row, alternately onset and end."""
-
-    _state: int = field(default=STATIC, init=False)
-
-    def process(self, batch: Zeroed) -> Slips:
-        """Return one event for each row."""
-        states = (self._state + 1 + np.arange(len(batch))) % (SLIP + 1)
-        self._state = int(states[-1])
-        probability = np.full(len(batch), 0.9)
-        return Slips(batch.time, states.astype(np.int8), batch.time, probability, finger=batch.finger)
-
-
 class ReportingMqtt(Mqtt):
     """Event sink that prints the events that it has accepted, by a write that survives a kill."""
 
@@ -104,8 +90,8 @@ async def record(folder: str, counts_file: str, rate: str) -> None:
 async def publish(url: str, outbox: str) -> None:
     """Publish events until SIGTERM."""
     flow = Flow("chaos")
-    zeroed = flow.source(Numbered(Touch, touch, EVENTS), "touch") | Zero(515)
-    (zeroed | Alternating()).to(ReportingMqtt(url, "chaos", "rig", outbox=outbox, connect_required=False))
+    events = flow.source(Numbered(Touch, touch, EVENTS * EVENT_EVERY), "touch") | EveryFifth()
+    events.to(ReportingMqtt(url, "chaos", "rig", outbox=outbox, connect_required=False))
     runner = LiveRunner(flow, f"chaos-{time.time_ns()}")
     with signals_to(runner.stop):
         await runner.execute()

@@ -73,7 +73,7 @@ def kills(scale: Scale) -> Sequence[Promise]:
             time.sleep(pause * rng.uniform(0, 0.5))
             process.start()
         most = 50 if scale.short else 3000
-        system.rig.wait_for(lambda: len(system.rig.lines_with("event")) >= most)
+        until(lambda: len(system.made()) >= most)
         made, lost, reused = system.finish()
     kinds = ", ".join(f"{victim} {number}" for victim, number in sorted(Counter(victims).items()))
     return [
@@ -96,8 +96,7 @@ def _system() -> Generator[System]:
         try:
             consumer.start()
             rig.start()
-            consumer.wait_for(lambda: "ready" in consumer.lines)
-            rig.wait_for(lambda: bool(rig.lines_with("event")))
+            until(lambda: bool(consumer.lines_with("ready") and rig.lines_with("event")))
             yield System(folder, broker, rig, consumer)
         finally:
             rig.stop()

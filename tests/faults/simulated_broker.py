@@ -13,7 +13,6 @@ from operators.errors import EndpointError
 from tests.faults.simulated_process import current
 
 TIMEOUT = 3.0  # s, as in `broker_link`
-WILL_DELAY = 2.0  # s
 SESSION_EXPIRY = 10.0  # s
 
 
@@ -24,7 +23,6 @@ class _Session:
     filters: set[str] = field(default_factory=set[str])
     unacknowledged: deque[Message] = field(default_factory=deque[Message])  # QoS 1, in order of delivery
     link: "SimulatedLink | None" = None
-    will: Message | None = None
     disconnected: float = 0.0  # loop time (s) of the last disconnection
 
 
@@ -62,7 +60,6 @@ class SimulatedBroker:
             session.link.cut("session taken over")
         if session is None or session.disconnected + SESSION_EXPIRY < loop.time():
             session = self._sessions[identifier] = _Session()
-        session.will = will
         session.link = link = SimulatedLink(self, session, str(broker), changed or asyncio.Event())
         if process:
             process.on_kill.append(lambda: link.cut("process killed"))
@@ -104,19 +101,6 @@ class SimulatedBroker:
         for message in self._retained.values():
             if message.payload and any(matches(each, message.topic) for each in topics):
                 self._route(session, message)
-
-    def closed(self, session: _Session, *, with_will: bool) -> None:
-        """Publish the will of a client that disappeared, unless it returns in time."""
-        loop = asyncio.get_running_loop()
-        session.link, session.disconnected = None, loop.time()
-        will, session.will = session.will, None
-        if will and with_will:
-
-            def publish() -> None:
-                if session.link is None and self.up:
-                    self.receive(will)
-
-            loop.call_later(WILL_DELAY, publish)
 
     def _route(self, session: _Session, message: Message) -> None:
         session.unacknowledged.append(message)
@@ -181,7 +165,7 @@ class SimulatedLink:
         return None
 
     async def disconnect(self) -> None:
-        self.cut("disconnected", with_will=False)
+        self.cut("disconnected")
 
     def abort(self) -> None:
         self.cut("aborted")
@@ -228,12 +212,12 @@ class SimulatedLink:
         self._loop.call_at(when, arrive)
         return answer
 
-    def cut(self, reason: str, *, with_will: bool = True) -> None:
+    def cut(self, reason: str) -> None:
         if self._lost:
             return
         self._lost = reason
         if self._session.link is self:
-            self._broker.closed(self._session, with_will=with_will)
+            self._session.link, self._session.disconnected = None, self._loop.time()
         for answer in list(self._answers):
             if not answer.done():
                 answer.set_result(None)

@@ -50,10 +50,10 @@ class SimulatedDisk:
     def attached(self) -> Generator[None]:
         """Pass the operations of the module `os` through the simulation."""
         with ExitStack() as stack:
-            for name in ("open", "close", "write", "pwrite", "fsync", "ftruncate"):
+            for name in ("open", "close", "pwrite", "fsync", "ftruncate"):
                 self._real[name] = getattr(os, name)
                 stack.enter_context(patch.object(os, name, getattr(self, f"_{name}")))
-            for name in ("mkdir", "rmdir", "unlink", "remove", "rename", "replace", "link"):
+            for name in ("mkdir", "rmdir", "unlink", "rename", "replace"):
                 self._real[name] = getattr(os, name)
                 stack.enter_context(patch.object(os, name, self._named(name)))
             yield
@@ -82,16 +82,16 @@ class SimulatedDisk:
             return
         descriptor = self._real["open"](path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
         if content:
-            self._real["write"](descriptor, content)
+            os.write(descriptor, content)
         self._inodes[os.fstat(descriptor).st_ino] = _Inode(content)
         self._real["close"](descriptor)
 
     def noting_locks(self, flock: Callable[..., int | None]) -> Callable[..., int | None]:
         """Return a lock function whose locks end when the process that holds them is killed."""
 
-        def locked(descriptor: int, *, wait: bool) -> int | None:
+        def locked(descriptor: int, *kind: int) -> int | None:
             process = current()  # raises if the process was killed: it locks nothing
-            found = flock(descriptor, wait=wait)
+            found = flock(descriptor, *kind)
             if process and found is not None:
                 self._locks[found] = process
                 process.on_kill.append(lambda: self._unlock(found, process))
@@ -182,34 +182,30 @@ class SimulatedDisk:
             self._inodes[os.fstat(descriptor).st_ino] = _Inode()
         return descriptor
 
-    def _write(self, descriptor: int, data: Any) -> int:
-        return self._torn(descriptor, data, self._real["write"])
-
-    def _pwrite(self, descriptor: int, data: Any, offset: int) -> int:
-        return self._torn(descriptor, data, lambda number, part: self._real["pwrite"](number, part, offset))
-
     def _close(self, descriptor: int) -> None:
         self._open_files.pop(descriptor, None)
         self._locks.pop(descriptor, None)
         self._real["close"](descriptor)
 
-    def _torn(self, descriptor: int, data: Any, write: Callable[[int, Any], int]) -> int:
+    def _pwrite(self, descriptor: int, data: Any, offset: int) -> int:
         """Write all, or on a kill or a full disk any first part."""
-        path = self._open_files.get(descriptor)
+        path, write = self._open_files.get(descriptor), self._real["pwrite"]
         if not self._simulated(path):
-            return write(descriptor, data)
+            return int(write(descriptor, data, offset))
         view = memoryview(data).cast("B")
         part = self._random.randrange(len(view)) if view else 0
         try:
             self._step(path, grows=True)
         except Killed:
-            write(descriptor, view[:part])
+            write(descriptor, view[:part], offset)
             raise
         except OSError as error:
             if error.errno == errno.ENOSPC and part:
-                return write(descriptor, view[:part])  # write(2): as many bytes as there is room for
+                return int(
+                    write(descriptor, view[:part], offset)
+                )  # write(2): as many bytes as there is room for
             raise
-        return write(descriptor, data)
+        return int(write(descriptor, data, offset))
 
     def _fsync(self, descriptor: int) -> None:
         path = self._open_files.get(descriptor)
@@ -243,7 +239,7 @@ class SimulatedDisk:
 
     def _named(self, name: str) -> Callable[..., Any]:
         def operate(path: Any, *args: Any, **options: Any) -> Any:
-            self._step(_text(path), grows=name in ("mkdir", "link"))
+            self._step(_text(path), grows=name == "mkdir")
             done = self._real[name](path, *args, **options)
             if name == "rename" and (folder := _text(path)):
                 moved = [each for each in self._names if f"{each}/".startswith(f"{folder}/")]

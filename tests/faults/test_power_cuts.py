@@ -13,16 +13,15 @@ from typing import Any
 import pytest
 
 from flows.run.session_output import new_session
-from operators import EVERY, Batch, Episodes, Motion, Slips, Touch, concat
+from operators import concat
 from operators.errors import EndpointError
 from storage import Session, recover, verify
 from tests.faults.simulated_disk import SimulatedDisk
 from tests.faults.simulated_process import Killed, SimulatedProcess
 from tests.faults.world import MEMORY
-from tests.storage.disk_steps import ROWS, observed, record, row
+from tests.storage.disk_steps import ROWS, STREAMS, observed, record, row
 from tests.storage.made import leave, new_run, rows, same, session_names, side_by_side
 
-STREAMS: tuple[tuple[type[Batch], int], ...] = ((Touch, 0), (Motion, EVERY), (Slips, 0), (Episodes, EVERY))
 EVERY_NTH = 11  # operation at which the power is cut
 
 

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from operators.batch import BAROMETERS, Batch, Episodes, Motion, Slips, Touch, ms
+from operators.batch import BAROMETERS, EVERY, Batch, Episodes, Motion, Slips, Touch, ms
 from operators.ports import Run
 from storage import files
 from storage.journal import APPEND_AT
 from storage.writer import SessionWriter
 from tests.storage.made import new_episodes
 
+STREAMS: tuple[tuple[type[Batch], int], ...] = ((Touch, 0), (Motion, EVERY), (Slips, 0), (Episodes, EVERY))
 ROWS = 45  # of each stream
 SYNC_EVERY = 7  # rows
 KINDS = {".parquet": "part", ".wal": "segment"}
@@ -74,7 +75,7 @@ def record(root: Path, run: Run, taken: list[int], durable: list[int] | None = N
     root.mkdir()
     writer = SessionWriter(root, run, part_span=100 * ms, part_rows=8)
     for number in range(ROWS):
-        for kind in (Touch, Motion, Slips, Episodes):
+        for kind, _ in STREAMS:
             batch = row(kind, number)
             while writer.full(batch):
                 writer.commit()

@@ -151,13 +151,6 @@ def leave(root: Path, run: Run, batches: Sequence[Batch]) -> Path:
     return write(root, run, batches).folder
 
 
-def two_sessions(root: Path, batches: Sequence[Batch]) -> Path:
-    """A dataset of the sessions one, of all the batches, and two, of the first five."""
-    write(root, new_run(), [*batches, new_episodes((0, 9, "hold"))]).close()
-    write(root, new_run("two"), batches[:5]).close()
-    return root
-
-
 def rows(
     folder: Path, batches: Sequence[Batch], streams: Sequence[tuple[type[Batch], int]] = STREAMS
 ) -> list[int]:

@@ -28,20 +28,6 @@ def read(path: Path) -> tuple[list[bytes], Damage | None]:
     return [record.data for record in reader.records()], reader.damage
 
 
-def test_records_are_read_back_at_the_offsets_of_append_also_while_it_is_written(log: AppendLog) -> None:
-    offsets = log.append(RECORDS[:3])
-    assert read(log.path) == (RECORDS[:3], None)
-    offsets += log.append(RECORDS[3:])
-    reader = LogReader(log.path)
-    found = list(reader.records())
-    assert (reader.identity, reader.damage, reader.end) == (b"who", None, log.end)
-    assert [record.data for record in found] == RECORDS
-    assert [record.offset for record in found] == offsets
-    for number, offset in enumerate(offsets):
-        assert [record.data for record in reader.records(offset)] == RECORDS[number:]
-    assert log.end == log.path.stat().st_size
-
-
 def test_the_file_is_as_the_format_says(log: AppendLog) -> None:
     first, second = log.append([b"first", b"second!"])
     data = log.path.read_bytes()

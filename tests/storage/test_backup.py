@@ -6,13 +6,12 @@ from shutil import copy2, copytree, ignore_patterns
 
 import polars as pl
 
-from operators.batch import EVERY, Episodes, Motion, Slips, Touch, ms
+from operators.batch import ms
 from storage import Session, recover
 from storage.journal import MAX_WAITING
-from tests.storage.disk_steps import each_kind, observed, record, steps_of
+from tests.storage.disk_steps import STREAMS, each_kind, observed, record, steps_of
 from tests.storage.made import new_run
 
-STREAMS = ((Touch, 0), (Motion, EVERY), (Slips, 0), (Episodes, EVERY))
 PHASES = (3, 40)  # steps of the disk between the journal and the manifest, and to the other files
 
 

@@ -1,4 +1,4 @@
-"""Files: read with typed errors, written completely or not at all, on a disk that is checked first."""
+"""Files: read with typed errors, written completely or not at all; their disk is checked first."""
 
 import errno
 import fcntl
@@ -12,6 +12,7 @@ import pytest
 from operators.errors import EndpointError, InputError
 from storage import files
 from storage.files import PARTIAL, check_disk, partial_output
+from storage.toml_text import parse_toml
 
 
 def test_an_unreadable_file_is_an_input_error(tmp_path: Path) -> None:
@@ -127,3 +128,23 @@ def test_a_folder_that_cannot_be_written_is_an_error(tmp_path: Path, monkeypatch
     monkeypatch.setattr(os, "fsync", refuse)
     with pytest.raises(EndpointError, match="cannot be written: Read-only file system; use a writable"):
         check_disk(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "rate = " + "[" * 5_000 + "]" * 5_000,
+        "rate = " + "{a=" * 5_000 + "1" + "}" * 5_000,
+        "rate = " + "1" * 5_000,
+    ],
+)
+def test_a_line_of_toml_that_cannot_be_parsed_is_an_error(line: str) -> None:
+    with pytest.raises(InputError, match=r"^mine\.toml: is not valid TOML: "):
+        parse_toml(line, "mine.toml")
+
+
+def test_other_mistakes_in_toml_have_their_line_and_usual_files_are_read() -> None:
+    with pytest.raises(InputError, match=r"^a\.toml: is not valid TOML: .*line 2"):
+        parse_toml("a = 1\nb =\n", "a.toml")
+    text = 'a = ["[[[[", 1.5, 2.5]\n# ' + "[" * 99 + "\n[b.c]\nd = {e = -9223372036854775808}\n"
+    assert parse_toml(text, "a.toml") == {"a": ["[[[[", 1.5, 2.5], "b": {"c": {"d": {"e": -(2**63)}}}}

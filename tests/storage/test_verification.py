@@ -4,6 +4,7 @@ import errno
 import os
 from pathlib import Path
 from shutil import copyfile, copytree, rmtree
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -12,7 +13,7 @@ from operators.errors import InputError
 from operators.ports import Gap, SinkStatus, SourceStatus
 from storage import LabelSpan, Session, verify
 from storage.parts import read_manifest, write_manifest
-from tests.storage.made import new_run, side_by_side, two_sessions, write
+from tests.storage.made import new_episodes, new_run, side_by_side, write
 
 BATCHES = side_by_side(5)
 ENDLESS = (
@@ -23,7 +24,11 @@ ENDLESS %= "9" * 4000
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return two_sessions(tmp_path_factory.mktemp("whole"), BATCHES)
+    """A dataset of the sessions one, of all the batches, and two, of the first five."""
+    root = tmp_path_factory.mktemp("whole")
+    write(root, new_run(), [*BATCHES, new_episodes((0, 9, "hold"))]).close()
+    write(root, new_run("two"), BATCHES[:5]).close()
+    return root
 
 
 @pytest.fixture
@@ -33,15 +38,11 @@ def dataset(whole: Path, tmp_path: Path) -> Path:
 
 
 def test_a_complete_dataset_is_good_and_its_rows_are_counted(dataset: Path) -> None:
-    reported: list[tuple[int, int, str]] = []
-
-    def report(done: int, total: int, session: str) -> None:
-        reported.append((done, total, session))
-
+    report = MagicMock()
     found = verify(dataset, report)
     assert (found.code, found.findings, found.sessions) == (0, (), 2)
     assert (found.files, found.rows) == (11 + 4, 126 + 25)
-    assert reported[-1] == (15, 15, "two")
+    assert report.call_args.args == (15, 15, "two")
     assert verify(dataset / "sessions/two").rows == 25
 
 

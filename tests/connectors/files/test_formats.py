@@ -20,6 +20,7 @@ from connectors.files.trace import interpreted
 from operators.batch import ms, s
 from operators.errors import InputError
 
+UNIT = "and a unit, as units.counts=kPa, or"
 SOME = np.random.default_rng(0).permutation(np.arange(1, 999))  # rows that are lost
 
 
@@ -59,18 +60,9 @@ def test_a_number_is_read_or_its_format_is_refused(numbers: list[float], decimal
         (["7", "8"], "."),
         (["1,234,567"], r"one of them twice \(column p0: 1,234,567\): remove the signs of thousands"),
         (["1e-3", "2.5e2"], "."),
-        (
-            ["101,248", "7"],
-            "may have decimals or thousands; state decimal=comma and a unit, as units.counts=kPa, or",
-        ),
-        (
-            ["101.248", "7"],
-            "may have decimals or thousands; state decimal=point and a unit, as units.counts=kPa, or",
-        ),
-        (
-            ["3,000", "4,000"],
-            "decimal=comma and a unit, as units.counts=kPa, or remove the signs of thousands .*\\)$",
-        ),
+        (["101,248", "7"], f"may have decimals or thousands; state decimal=comma {UNIT}"),
+        (["101.248", "7"], f"may have decimals or thousands; state decimal=point {UNIT}"),
+        (["3,000", "4,000"], rf"decimal=comma {UNIT} remove the signs of thousands .*\)$"),
         (["0.01", "101,248"], r"both point and comma, .* \(column p0: 0.01 and column p0: 101,248\): remove"),
         (["1.234,5", "7"], r"both point and comma, .* \(column p0: 1.234,5 and column p0: 1.234,5\): remove"),
     ],

@@ -11,7 +11,7 @@ import pytest
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from connectors.files.interpretation import speeds_of
-from operators.batch import Motion, Touch, s
+from operators.batch import Motion, Touch, Zeroed, s
 from operators.errors import InputError
 from storage.arrow import pa, pq
 
@@ -88,10 +88,11 @@ def test_an_invalid_value_is_named_by_row_and_column(path: Path) -> None:
         ("strokes", ColumnMap.parse("time=t,counts=b0..b5,speed=speed,label=label"), 89_186),
         ("grasps", ColumnMap.parse("counts=b0..b5,velocity=vx,vy,vz"), 2195),
         ("barometers", ColumnMap.parse("label=,units.counts=Pa"), 230_068),
+        ("mat_trace.csv", ColumnMap(), 377),
     ],
 )
 def test_the_real_recordings_are_read_whole(folder: str, columns: ColumnMap, rows: int) -> None:
-    files = sorted((SHARED / folder).glob("*.parquet"))
+    files = sorted(SHARED.glob(f"{folder}/*.parquet" if "." not in folder else folder))
     if not files:
         pytest.skip(f"{SHARED / folder} is missing: the shared material belongs next to the checkout")
     read = 0
@@ -99,11 +100,13 @@ def test_the_real_recordings_are_read_whole(folder: str, columns: ColumnMap, row
         trace = Trace(pl.read_parquet(file).drop_nulls("time") if folder == "barometers" else file, columns)
         read += len(trace.part.touch)
         names = trace.part.columns.columns["counts"]
-        given = pl.read_parquet(file).drop_nulls(trace.part.columns.columns["time"])[list(names)].to_numpy()
+        table = pl.read_csv(file) if file.suffix == ".csv" else pl.read_parquet(file)
+        given = table.drop_nulls(trace.part.columns.columns["time"])[list(names)].to_numpy()
         stored = (trace.part.touch.counts + trace.part.offset) * trace.part.resolution
         valid = trace.part.touch.valid
         assert np.abs(stored - given)[valid].max() <= trace.part.resolution / 2
         assert valid.mean() > 0.999
         assert bool(trace.fingers(Touch))
-        assert bool(trace.fingers(Motion)) == (folder != "barometers")
+        assert bool(trace.fingers(Motion)) == (folder in ("strokes", "grasps"))
+        assert bool(trace.fingers(Zeroed)) == (folder != "barometers")
     assert read == rows

@@ -1,7 +1,6 @@
 """CSV files of any dialect."""
 
 import gzip
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,7 @@ from connectors.files.column_map import ColumnMap
 from connectors.files.container import read_table
 from connectors.files.number_format import reals, with_decimal
 from operators.errors import InputError
-
-Write = Callable[[str], Path]
+from tests.connectors.files.conftest import Write
 
 
 def read(path: Path) -> dict[str, list[float]]:
@@ -22,16 +20,6 @@ def read(path: Path) -> dict[str, list[float]]:
     sign = with_decimal(table, ColumnMap({"counts": tuple(table.columns)})).decimal_sign
     table.stop()
     return {name: reals(column, sign).to_list() for name, column in table.columns.items()}
-
-
-@pytest.fixture
-def write(tmp_path: Path) -> Write:
-    def write_text(text: str) -> Path:
-        path = tmp_path / "trace.csv"
-        path.write_text(text, encoding="utf-8")
-        return path
-
-    return write_text
 
 
 def test_columns_may_be_aligned_with_spaces_and_tabs(write: Write) -> None:
@@ -64,7 +52,7 @@ def test_a_table_is_found_below_other_lines(write: Write, content: str, names: s
 
 
 def test_lines_that_are_left_out_are_counted(write: Write) -> None:
-    table = read_table(write(f"t,p0,p1\n{BODY}\n,,\nt,p0,p1\n{BODY}"))
+    table = read_table(write(f"t,p0,p1\n{BODY}\n,,\nt,p0,p1\n{BODY}", end=""))
     assert table.numbers.tolist() == [2, 3, 7, 8]
     assert table.notes == ["left out 3 lines without values, or with the names again"]
 
@@ -140,7 +128,10 @@ def test_a_table_of_very_many_columns_is_refused_at_once(write: Write) -> None:
 
 def test_a_last_line_that_ends_with_an_empty_field_is_complete(write: Write) -> None:
     for end in ("", "\n", "\r\n\r\n", "\n \n"):
-        assert np.isnan(read(write(f"t\tp0\tp1\n1\t2\t3\n2\t3\t{end}"))["p1"]).tolist()[:2] == [False, True]
+        assert np.isnan(read(write(f"t\tp0\tp1\n1\t2\t3\n2\t3\t{end}", end=""))["p1"]).tolist()[:2] == [
+            False,
+            True,
+        ]
 
 
 def test_numbers_between_blanks_in_a_text_do_not_hide_the_commas(write: Write) -> None:

@@ -14,20 +14,9 @@ from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from operators.batch import EVERY, Motion, Touch, Zeroed, concat
 from operators.errors import InputError
+from tests.connectors.files.conftest import Write
 
-Write = Callable[..., Path]
 HEADER = "t,s1,s2,s3,s4,s5,s6"
-MAT = Path(__file__).parents[4] / "shared" / "real" / "mat_trace.csv"
-
-
-@pytest.fixture
-def write(tmp_path: Path) -> Write:
-    def write_lines(*lines: str) -> Path:
-        path = tmp_path / "trace.csv"
-        path.write_text("\n".join([*lines, ""]), encoding="utf-8")
-        return path
-
-    return write_lines
 
 
 def test_a_trace_is_read_as_it_is_written(write: Write) -> None:
@@ -187,7 +176,7 @@ def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, co
     ],
 )
 def test_a_file_is_refused_with_the_remedy(write: Write, text: str, columns: str, complaint: str) -> None:
-    path = write(*text.split("|")) if text else write()
+    path = write(*text.split("|")) if text else write(end="")
     with pytest.raises(InputError) as caught:
         _ = Trace(path, ColumnMap.parse(columns)).part.touch
     assert str(caught.value) == f"{path}{complaint}"
@@ -242,19 +231,6 @@ def test_a_file_without_a_time_is_timed_by_a_rate(write: Write) -> None:
     trace = Trace(path, ColumnMap(rate=30))
     assert trace.part.touch.time.tolist() == [0, 33_333_333, 66_666_667, 100_000_000]
     assert trace.part.columns.rate == pytest.approx(30)
-
-
-def test_the_real_trace_is_read_whole() -> None:
-    if not MAT.exists():
-        pytest.skip(f"{MAT} is missing: the shared material belongs next to the checkout")
-    trace = Trace(MAT)
-    assert (len(trace.part.touch), type(trace.part.touch), trace.part.touch.time[0]) == (
-        377,
-        Zeroed,
-        6_569_355_000,
-    )
-    assert set(trace.part.labels.tolist()) == {0, 1}
-    assert trace.part.touch.counts[0].tolist() == [-10, -142, -475, -167, -3, -2]
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,9 @@ def test_an_unknown_host_is_one_clear_line(host: str) -> None:
         asyncio.run(use(f"mqtt://{host}"))
 
 
-def test_a_cancelled_attempt_is_disconnected(broker: TestBroker, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_cancelled_attempt_is_disconnected(
+    broker: TestBroker, monkeypatch: pytest.MonkeyPatch
+) -> None:
     begun, go_on, clients = threading.Event(), threading.Event(), list[Client]()
     connect = vars(Client)["_client_connect"]
 
@@ -88,18 +90,14 @@ def test_a_cancelled_attempt_is_disconnected(broker: TestBroker, monkeypatch: py
         connect(self)
 
     monkeypatch.setattr(Client, "_client_connect", connect_slowly)
-
-    async def main() -> None:
-        attempt = asyncio.create_task(use(broker.url))
-        await asyncio.to_thread(begun.wait, PATIENCE)
-        attempt.cancel()
-        await asyncio.sleep(0)
-        go_on.set()
-        with pytest.raises(asyncio.CancelledError):
-            await attempt
-        assert inside(clients[0], "_client").socket() is None
-
-    asyncio.run(main())
+    attempt = asyncio.create_task(use(broker.url))
+    await asyncio.to_thread(begun.wait, PATIENCE)
+    attempt.cancel()
+    await asyncio.sleep(0)
+    go_on.set()
+    with pytest.raises(asyncio.CancelledError):
+        await attempt
+    assert inside(clients[0], "_client").socket() is None
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
@@ -182,34 +180,27 @@ def test_a_certificate_for_another_host_is_refused_with_a_hint(
 
 def test_mixing_up_tls_and_plain_ports_fails_fast_with_a_hint(secure: TestBroker, tmp_path: Path) -> None:
     (tmp_path / "plain").mkdir()
-    plain = TestBroker(tmp_path / "plain")
-    try:
+    with TestBroker(tmp_path / "plain") as plain:
         for url, hint in (
             (secure.url, "if it uses TLS, write mqtts://"),
             (plain.url.replace("mqtt:", "mqtts:"), "if it uses no TLS, write mqtt:// and its port"),
         ):
             with pytest.raises(EndpointError, match=rf"cannot connect: (?!no response).*; {hint}$"):
                 asyncio.run(use(url))
-    finally:
-        plain.close()
 
 
-def test_messages_sent_together_arrive_in_order_and_each_refusal_is_reported(guarded: TestBroker) -> None:
-    async def main() -> list[str]:
-        link = await connect(Broker.parse(guarded.url), "test")
-        topics = [f"mine/{number}" for number in range(40)]
-        topics[7] = "yours/7"
-        try:
-            refusals = await link.send_all([Message(topic, b"x", retain=False) for topic in topics])
-            await link.listen("mine/#")
-            for number in range(3):
-                await deliver(link, f"mine/{number}", b"y")
-            assert [(await link.receive())[0] for _ in range(3)] == topics[:3]
-        finally:
-            await link.disconnect()
-        return refusals
-
-    refusals = asyncio.run(main())
+async def test_messages_sent_together_arrive_in_order_and_each_refusal_is_reported(
+    guarded: TestBroker,
+) -> None:
+    link = await connect(Broker.parse(guarded.url), "test")
+    topics = [f"mine/{number}" for number in range(40)]
+    topics[7] = "yours/7"
+    refusals = await link.send_all([Message(topic, b"x", retain=False) for topic in topics])
+    await link.listen("mine/#")
+    for number in range(3):
+        await deliver(link, f"mine/{number}", b"y")
+    assert [(await link.receive())[0] for _ in range(3)] == topics[:3]
+    await link.disconnect()
     assert refusals[7] == "refuses to publish yours/7: Not authorized; allow it in the broker's access list"
     assert [number for number, refusal in enumerate(refusals) if refusal] == [7]
 

@@ -1,10 +1,34 @@
+"""An object that is held: by simulated fingertips, and against closed formulas."""
+
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
+from connectors.sim.body import GRAVITY
 from connectors.sim.grasp import Grasp, Tap, least_force
 from connectors.sim.objects import OBJECTS
 from connectors.sim.scene import Parameters, Travel, Vibration
 
 SMOOTH = Parameters(texture=0.0)
+EVEN = Parameters(texture=0.0, static_friction=1.0, kinetic_friction=1.0, stribeck_speed=1.0)  # Coulomb
+STIFF = replace(EVEN, stiffness=4e5, shear_stiffness=7.6e8, step=1e-4)  # nothing gives
+BOX, CAN = OBJECTS["box"], OBJECTS["metal_can"]
+LIFT = Travel(0.3, 0.02)
+DISTANCE = 0.004  # m
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_the_inertia_is_that_of_the_filled_shape(name: str) -> None:
+    thing = OBJECTS[name]
+    side = (np.arange(100) + 0.5) / 100 - 0.5
+    x, y, z = np.meshgrid(side * thing.width, side * thing.length, side * thing.width)
+    filled = {
+        "plane": np.ones(x.shape, np.bool_),
+        "sphere": x**2 + y**2 + z**2 < thing.radius**2,
+        "cylinder_y": x**2 + z**2 < thing.radius**2,
+    }[thing.curvature]
+    assert thing.inertia == pytest.approx(thing.mass * (x**2 + y**2)[filled].mean(), rel=1e-3)
 
 
 def gripped(grasp: Grasp, force: float, closing: float = 1.0) -> Grasp:
@@ -18,7 +42,7 @@ def test_the_least_force_is_where_a_loosening_grip_begins_to_slip(name: str) -> 
     """With Stribeck friction, lever and tilt, but the same friction everywhere."""
     thing = OBJECTS[name]
     least = least_force(thing, SMOOTH)
-    grasp = Grasp(thing, SMOOTH, lift=Travel(0.3, 0.02))
+    grasp = Grasp(thing, SMOOTH, lift=LIFT)
     grasp.press(1.5 * least, 0.0, rate=100.0)
     _, before = grasp.sense(2.0)
     assert not before.on_table
@@ -26,9 +50,6 @@ def test_the_least_force_is_where_a_loosening_grip_begins_to_slip(name: str) -> 
     loosening = (grasp.sense(2.01 + k * 0.01)[1] for k in range(1000))
     slipping = next(held for held in loosening if before.slide_y - held.slide_y > 0.002)
     assert slipping.force == pytest.approx(least, rel=0.05)
-
-
-BOX, CAN = OBJECTS["box"], OBJECTS["metal_can"]
 
 
 @pytest.mark.parametrize("name", OBJECTS)
@@ -60,3 +81,23 @@ def test_the_force_follows_commands_at_their_rate() -> None:
     force = {t: grasp.sense(t)[1].force for t in (0.9, 1.1, 1.3, 2.25, 2.5, 2.52, 2.6, 3.2)}
     expected = {0.9: 0.0, 1.1: 1.0, 1.3: 2.0, 2.25: 2.5, 2.5: 3.0, 2.52: 2.0, 2.6: 1.0, 3.2: 3.0}
     assert force == pytest.approx(expected, abs=0.06)
+
+
+def test_what_is_held_too_weakly_falls_with_what_friction_leaves_of_its_weight() -> None:
+    held, least = Grasp(BOX, EVEN, lift=LIFT), least_force(BOX, EVEN)
+    held.press(2 * least, 0.0, rate=1e3)
+    held.press(0.6 * least, 2.0, rate=1e6)
+    heights = [held.sense(t)[1].height for t in (2.03, 2.04, 2.05)]
+    assert np.diff(heights, 2) / 0.01**2 == pytest.approx(-0.4 * GRAVITY, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["box", "ball", "foam_sleeve"])
+@pytest.mark.parametrize("factor", [2.0, 4.0])
+def test_a_tap_moves_it_as_far_as_friction_takes_to_use_its_energy_up(name: str, factor: float) -> None:
+    thing = OBJECTS[name]
+    speed = np.sqrt(2 * DISTANCE * (factor - 1) * GRAVITY)
+    held = Grasp(thing, STIFF, lift=LIFT, taps=[Tap(2.0, thing.mass * speed, seconds=0.001)])
+    held.press(factor * least_force(thing, STIFF), 0.0, rate=1e3)
+    before, after = (held.sense(t)[1] for t in (2.0, 2.5))
+    assert before.height - after.height == pytest.approx(DISTANCE, rel=0.05)
+    assert before.slide_y - after.slide_y == pytest.approx(DISTANCE, rel=0.05)

@@ -30,13 +30,10 @@ def ended(control: MagicMock) -> list[str]:
     return [call[0] for call in calls(control)[-3:]]
 
 
-def ignored(number: int, handler: object) -> None:
-    """Do nothing: only a main thread may set signal handlers."""
-
-
 @pytest.fixture
 def pipe(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Connection, Connection]]:
-    monkeypatch.setattr("connectors.ur.control_process.signal.signal", ignored)
+    handle = MagicMock()  # only a main thread may set signal handlers
+    monkeypatch.setattr("connectors.ur.control_process.signal.signal", handle)
     ours, theirs = multiprocessing.Pipe()
     yield ours, theirs
     ours.close()

@@ -1,7 +1,6 @@
 """Connections to test peers, which also violate the protocol."""
 
 import asyncio
-import logging
 from itertools import pairwise
 from unittest.mock import MagicMock, patch
 
@@ -101,18 +100,9 @@ def test_an_unexpected_package_fails_after_earlier_data(answers: int, wrong: byt
 @given(st.lists(st.binary(max_size=60), min_size=1, max_size=9), st.integers(1, 300))
 def test_messages_of_the_controller_are_counted_and_a_few_are_logged(texts: list[bytes], often: int) -> None:
     flood = b"".join(pack(Kind.TEXT, payload) for payload in texts) * often
-    logged = list[str]()
-
-    class Collector(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            logged.append(record.getMessage())
-
-    collector = Collector()
-    logging.getLogger("slipflow").addHandler(collector)
-    try:
+    with patch.object(rtde.log, "handle") as handle:
         received, _, client = fed([*ANSWERS, flood, pack(Kind.DATA, DATA[0]), flood])
-    finally:
-        logging.getLogger("slipflow").removeHandler(collector)
+    logged = [call.args[0].getMessage() for call in handle.call_args_list]
     assert (client.texts, received) == (2 * often * len(texts), DATA[0])
     assert len(logged) == min(client.texts, rtde.TEXTS)
     assert all(line.isprintable() for line in logged)

@@ -60,8 +60,6 @@ class DirectControl:
                 drive.speed(np.zeros(6), STOP_DECELERATION)
             case Signal.STOP | Signal.RELEASE if drive.task != "none":
                 drive.stop(STOP_DECELERATION)
-            case _:
-                pass
 
     async def keep_alive(self) -> None:
         await self.ended.wait()

@@ -80,17 +80,6 @@ def cut(recorded: SessionPage, begin: float, end: float) -> dict[str, Any]:
     return {**found}
 
 
-async def test_a_window_has_the_rows_between_its_ends(keep: Keep) -> None:
-    recorded = await keep(*[touched(START + k * 10 * ms, -k) for k in range(100)])
-    window = cut(recorded, 100, 200)
-    assert window["touch 0"]["t"] == [10.0 * k for k in range(10, 21)]
-    assert window["touch 0"]["v"][0] == [-10] * 6
-    assert [*window] == ["touch 0"]
-    assert len(cut(recorded, 0, 1000)["touch 0"]["t"]) == 100
-    assert cut(recorded, 5000, 6000)["touch 0"]["t"] == []
-    assert cut(recorded, -500, -100)["touch 0"]["t"] == []
-
-
 async def test_a_late_row_and_an_early_one_are_in_the_windows_of_their_times(keep: Keep) -> None:
     at = [10 * k for k in range(100)]
     at[30], at[70] = at[70], at[30]

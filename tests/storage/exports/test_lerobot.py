@@ -46,16 +46,10 @@ class Read:
         """The values of an episode's feature, in the shape that info.json declares."""
         column = self.frames[number][feature]
         declared = self.info["features"][feature]
-        assert column.dtype == self.dtype(feature)
-        return column.to_numpy().reshape(-1, *declared["shape"])
-
-    def dtype(self, feature: str) -> pl.DataType:
-        """Return the required type of a feature's column."""
         kinds = {"float32": pl.Float32(), "int64": pl.Int64(), "bool": pl.Boolean()}
-        declared = self.info["features"][feature]
-        (size,) = declared["shape"]
-        element = kinds[declared["dtype"]]
-        return element if size == 1 else pl.Array(element, size)
+        (size,), element = declared["shape"], kinds[declared["dtype"]]
+        assert column.dtype == (element if size == 1 else pl.Array(element, size))
+        return column.to_numpy().reshape(-1, size)
 
     def check(self) -> None:
         """All that the documentation promises."""
