@@ -165,6 +165,16 @@ async def test_a_fingertips_state_is_that_of_the_run(broker: TestBroker, run: Ru
     assert states(0, 2) == [(False, None, 0, epoch)] * 2
 
 
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+async def test_a_run_ends_without_error_if_the_broker_is_gone_or_hangs(
+    broker: TestBroker, run: Run, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link, "TIMEOUT", 0.1)
+    async with opened(Mqtt(broker.url, rig="rig"), run):
+        assert broker.process
+        broker.process.send_signal(number)
+
+
 async def test_a_killed_run_becomes_offline_unless_it_or_another_run_is_back_soon(
     broker: TestBroker, run: Run, links: list[Link], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
