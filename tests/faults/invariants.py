@@ -111,9 +111,9 @@ def _kept_events(world: World, rig_run: RigRun) -> Iterator[Identity]:
     for event, when in rig_run.events.items():
         lost_power = _next_power_loss(world, when)
         ended = rig_run.ended if lost_power is None else min(lost_power, rig_run.ended)
-        if lost_power is not None and not _durable(world, when, ended, rewritten=True):
+        if lost_power is not None and not _durable(world, when, ended):
             continue
-        if rig_run.end == "killed" and _disk_fails(world, when, rig_run.ended, rewritten=True):
+        if rig_run.end == "killed" and _disk_fails(world, when, rig_run.ended):
             continue  # events in memory may be lost
         yield event
 
@@ -123,13 +123,10 @@ def _next_power_loss(world: World, when: float) -> float | None:
     return next((each for each in world.power_losses if each >= when), None)
 
 
-def _durable(world: World, when: float, ended: float, *, rewritten: bool) -> bool:
-    """Return True if rows accepted at `when` by a run that ended at `ended` must survive a power loss.
-
-    They are `rewritten` at once after a failed fsync if they are events.
-    """
+def _durable(world: World, when: float, ended: float) -> bool:
+    """Return True if rows accepted at `when` by a run that ended at `ended` must survive a power loss."""
     stalled = _stalled(world, when, ended)
-    fails = _disk_fails(world, when + stalled, ended, rewritten=rewritten)
+    fails = _disk_fails(world, when + stalled, ended)
     return when + stalled < ended - POWER_SPAN and not fails
 
 
@@ -139,31 +136,28 @@ def _stalled(world: World, first: float, last: float) -> float:
     return sum(STALL_MAX * each.size for each in stalls if first - STALL_MAX <= each.start <= last)
 
 
-def _disk_fails(world: World, first: float, last: float, *, rewritten: bool) -> bool:
+def _disk_fails(world: World, first: float, last: float) -> bool:
     """Return True if a fault of the disk delays rows accepted from `first` on until after `last`."""
-    failures = _disk_failures(world, rewritten=rewritten)
+    failures = _disk_failures(world)
     return any(start <= first + POWER_SPAN and last <= repaired for start, repaired in failures)
 
 
-def _disk_failures(world: World, *, rewritten: bool) -> Iterator[tuple[float, float]]:
+def _disk_failures(world: World) -> Iterator[tuple[float, float]]:
     """Yield start and latest repair (s) of each failure of the disk.
 
     A fault that begins while another lasts, or before the delayed writes are tried again, prolongs the
     failure. As the delay doubles with each attempt, the next one comes at most as long after the failure as
-    it has lasted. Events are `rewritten` without delay after a failed fsync; rows are not.
+    it has lasted. A failed fsync fails writes, too: they begin a new file, which needs an fsync.
     """
     start, end, attempt = inf, 0.0, 0.0
-    writes = inf  # s, when writes began to fail
     for fault in sorted(world.schedule.faults, key=lambda fault: fault.start):
         if fault.kind not in DISK_FAULTS:
             continue
         if fault.start > attempt:
             yield start, max(attempt, end + REPAIR)
-            start, end, writes = fault.start, 0.0, inf
+            start, end = fault.start, 0.0
         start, end = min(start, fault.start), max(end, fault.start + fault.duration)
-        if fault.kind != "fsync error" or not rewritten:
-            writes = min(writes, fault.start)
-        attempt = end if writes == inf else end + (end - writes) + RETRY
+        attempt = end + (end - start) + RETRY
     yield start, max(attempt, end + REPAIR)
 
 
@@ -229,7 +223,7 @@ def _missing(world: World, rig_run: RigRun, name: str, missing: list[Row]) -> It
     lost_power = _next_power_loss(world, rig_run.ended) if rig_run.end != "orderly" else None
     if lost_power is not None:
         when = dict(zip(rig_run.rows[name], rig_run.rows_at[name], strict=True))
-        old = [row for row in missing if _durable(world, when[row], rig_run.ended, rewritten=False)]
+        old = [row for row in missing if _durable(world, when[row], rig_run.ended)]
         if old:
             yield f"{text}, {len(old)} of them older than {POWER_SPAN} s"
     elif len(missing) > (KILL_ROWS if rig_run.end == "killed" else 0):

@@ -46,6 +46,7 @@ def test_without_faults_one_run_records_and_delivers_everything() -> None:
         (5287, "an fsync fails while a slow write of later events is in progress"),
         (1013437, "the broker forgets events that a full disk and memory did not keep"),
         (9424, "a fault of the disk ends while the host is stalled"),
+        (2010093, "the disk works between two attempts to write events, but not during them"),
     ],
 )
 def test_a_history_that_once_violated_an_invariant_violates_none(seed: int, history: str) -> None:
