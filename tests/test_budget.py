@@ -12,16 +12,16 @@ from flows.cli.main import app
 ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
-    "operators": 4_927,
+    "operators": 4_916,
     "connectors": 10_475,
     "storage": 3_844,
     "flows": 12_280,
-    "product": 31_526,
+    "product": 31_515,
     "product files": 212,
-    "tests": 29_486,
+    "tests": 29_435,
     "commands": 16,
     "options": 70,
-    "words": 35_050,
+    "words": 35_049,
 }
 
 
