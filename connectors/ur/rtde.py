@@ -9,11 +9,11 @@ Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide".
 
 import asyncio
 import logging
-from collections.abc import Coroutine, Mapping
+from collections.abc import Awaitable, Mapping
 from contextlib import suppress
 from enum import IntEnum
 from struct import Struct
-from typing import Any, Final, TypeAlias, TypeVar
+from typing import Final, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -238,18 +238,22 @@ class RtdeClient:
                     unread.append(package)
         return unread
 
-    async def _in_time(self, work: Coroutine[Any, Any, T], late: str) -> T:
-        """Wait at most `TIMEOUT`, in two parts; every failure becomes an EndpointError.
+    async def _in_time(self, awaited: Awaitable[T], late: str) -> T:
+        """Wait at most `TIMEOUT`; every failure becomes an EndpointError.
 
-        A stall of the host can end one part although packages wait in the socket; the other reads them.
+        The second half of the time begins when the event loop runs again after a stall of the host, so that
+        packages that wait in the socket are read.
         """
-        task = asyncio.create_task(work)
+        loop = asyncio.get_running_loop()
         try:
-            for _ in range(2):
-                done, _ = await asyncio.wait({task}, timeout=TIMEOUT / 2)
-                if done:
-                    return task.result()
-            raise EndpointError(self.endpoint, late)
+            async with asyncio.timeout(None) as limit:
+                half = loop.call_later(TIMEOUT / 2, lambda: limit.reschedule(loop.time() + TIMEOUT / 2))
+                try:
+                    return await awaited
+                finally:
+                    half.cancel()
+        except TimeoutError as error:
+            raise EndpointError(self.endpoint, late) from error
         except ConnectionRefusedError as error:
             raise EndpointError(self.endpoint, _REFUSED) from error
         except EOFError as error:
@@ -261,6 +265,3 @@ class RtdeClient:
         except RtdeError as error:
             unknown = "" if self.controller else "is not an RTDE server: "
             raise EndpointError(self.endpoint, f"{unknown}{error}") from error
-        finally:
-            task.cancel()
-            await asyncio.wait({task})

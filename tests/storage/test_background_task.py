@@ -16,7 +16,6 @@ LINE = r" \(test_background_task\.py:\d+\)$"
 AWAITED = {
     "connectors/gripper/gripper_sink.py",
     "connectors/mqtt/broker_link.py",
-    "connectors/ur/rtde.py",
     "flows/lab/collection/collector.py",
     "flows/run/live_runner.py",
     "flows/run/sink_queue.py",  # for live_runner.py
