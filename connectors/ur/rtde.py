@@ -241,8 +241,7 @@ class RtdeClient:
     async def _in_time(self, awaited: Awaitable[T], late: str) -> T:
         """Wait at most `TIMEOUT`; every failure becomes an EndpointError.
 
-        The second half of the time begins when the event loop runs again after a stall of the host, so that
-        packages that wait in the socket are read.
+        Its second half begins after a stall of the host, so that packages that wait in the socket are read.
         """
         loop = asyncio.get_running_loop()
         try:
