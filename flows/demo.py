@@ -14,10 +14,8 @@ def demo(out: str = "recordings", broker: str | None = None) -> Flow:
         out: Folder of the dataset.
         broker: Broker URL, such as mqtt://localhost; None: publish nothing.
     """
-    flow = Flow("demo")
-    dataset = Dataset(out)
-    label = Label(speed=0.003, delay=ARM_LATENCY)
-    zeroed = declare_recording(flow, SimulatedRig(), label, dataset)
+    flow, dataset = Flow("demo"), Dataset(out)
+    zeroed = declare_recording(flow, SimulatedRig(), Label(speed=0.003, delay=ARM_LATENCY), dataset)
     debounce = load_debounce("tcn")
     slips = zeroed | Score(load_detector("tcn")) | debounce
 

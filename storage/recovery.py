@@ -101,7 +101,8 @@ class Recovery:
         kept = {folder / part.path for part in self._all_parts()}
         for table in TABLES:
             strays = [path for path in numbered_files(folder, table.pattern).values() if path not in kept]
-            (self._repeated if self._has_journal_of(table, strays) else self._unknown).extend(strays)
+            if strays:
+                (self._repeated if self._has_journal_of(table, strays) else self._unknown).extend(strays)
         names = [path.relative_to(folder).as_posix() for path in self._unknown]
         self.done += [f"{each}: is not in the manifest" for each in names if each not in listed]
         if not self._buffers and (folder / JOURNAL).is_dir() and journal_files(folder):
@@ -172,10 +173,8 @@ class Recovery:
             if table in left_out:
                 self.lost.append(f"{table.name}: {left_out[table]} rows that do not follow row {end}")
                 self._damaged = list(self._logs.values())
-            if end < listed[table]:
-                self.lost.append(
-                    f"{table.name}: {listed[table] - end} rows of damaged parts, after row {end}"
-                )
+            if (missing := listed[table] - end) > 0:
+                self.lost.append(f"{table.name}: {missing} rows of damaged parts, after row {end}")
 
     def _leave_out_damaged_parts(self, table: Table, first: int) -> None:
         """Keep the listed parts of a table before the first damaged one whose rows the journal has.

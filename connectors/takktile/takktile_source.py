@@ -87,9 +87,9 @@ class TakkTile(Source[Touch]):
         """
         async with aclosing(self._scans(clock)) as scans:
             async for scan in scans:
-                times = np.full(len(self.fingers), scan.time)
+                times = np.full(len(self.coefficients), scan.time)
                 rows = Touch.rows(times, scan.counts, scan.temperature, scan.valid).packed
-                for row, finger in enumerate(self.fingers):
+                for row, finger in enumerate(self.coefficients):
                     yield Touch.unpack(rows[row : row + 1], finger)
 
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:

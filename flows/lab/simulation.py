@@ -24,7 +24,7 @@ from connectors.sim.scene import PaperStrokes, Scene
 from connectors.sim.simulated_rig import SLIDING, episode
 from flows.graph import Flow
 from flows.graph.testing import TestRecording, TestSource
-from flows.learn.labelled_recordings import TURNS, scene_seed, sliding_motion
+from flows.learn.labelled_recordings import PAPER_LABEL, TURNS, scene_seed, sliding_motion
 from flows.record import declare_recording
 from flows.run.executor import map_tasks
 from flows.run.replay_runner import ReplayRunner
@@ -167,7 +167,7 @@ async def _run(root: Path, plan: str, seed: int, planned: PlannedRecording) -> N
             for start, move in planned.scene.moves(planned.seed)
         ]
         streams = [*_shifted(simulate_scene(rig.scene, rig.seed), planned.start), concat(Episodes, episodes)]
-        declare_recording(flow, rig, Label(speed=0.003, rotation=0.2), dataset)  # m/s, rad/s; paper
+        declare_recording(flow, rig, replace(PAPER_LABEL), dataset)
         fingertip = rig.touch.fingertip or TAKKTILE
         sources = {"touch": dict(rig.touch.describe()), "motion": dict(rig.motion.describe())}
     finished = TestRecording(planned.session, streams, fingertip)

@@ -47,7 +47,7 @@ from storage.layout import session_folders
 SPLITS: Final = ("train", "validation", "test")
 # of recordings without a split, in turn
 TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train", "test", "train", "train")
-_LABEL: Final = Label(SLIDING, rotation=0.2)
+PAPER_LABEL: Final = Label(SLIDING, rotation=0.2)  # of strokes
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 WARM_UP: Final = 99  # samples; the paper's windows have 100
@@ -360,7 +360,7 @@ def _strokes(episodes: Episodes, time: Times) -> Strokes | None:
     )
 
 
-def labelled(zeroed: Zeroed, motion: Motion, by: Label = _LABEL) -> Labelled:
+def labelled(zeroed: Zeroed, motion: Motion, by: Label = PAPER_LABEL) -> Labelled:
     """Run the operators that label samples, as a flow does."""
     align, label = Align(within=20 * ms), by.reset_copy()
     samples = concat(Sample, [align.push(zeroed, motion), align.flush()])

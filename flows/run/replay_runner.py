@@ -5,7 +5,7 @@ import logging
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
-from itertools import islice
+from itertools import chain, islice
 from typing import Any, cast
 
 import numpy as np
@@ -136,7 +136,10 @@ class ReplayRunner:
             (node, finger): self._recording.read(cast("Source[Any]", node.part).kind, finger, self._rows)
             for node, finger in self.compiled.entries
         }
-        self._clock.newest = self.run.start = first_time(self._flow, self._recording)
+        slices = in_slices(recorded)
+        if (first := next(slices, None)) is None:
+            raise InputError(self._recording.name, "is empty: it has no rows to replay")
+        self._clock.newest = self.run.start = min(int(batch.time[0]) for batch in first.values())
         opened: list[Sink[Any]] = []
         try:
             for sink in self._flow.sinks().values():
@@ -144,7 +147,7 @@ class ReplayRunner:
                     await sink.open(self.run)
                 opened.append(sink)
             filters = defaultdict[Entry, LateRowFilter](LateRowFilter)  # they only count
-            for batches in in_slices(recorded):
+            for batches in chain([first], slices):
                 deliveries = self.compiled.push(batches)
                 for entry, batch in batches.items():
                     status = self.run.sources[entry[0].name]

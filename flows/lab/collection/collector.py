@@ -19,11 +19,12 @@ from connectors.ur.ur_arm import UrArm
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.lab.collection.arm_path import Line, Step, Turn
-from flows.lab.collection.stroke_plan import SLIP_ROTATION, SLIP_SPEED, PlannedPath, Stroke, StrokeSeries
+from flows.lab.collection.stroke_plan import PlannedPath, Stroke, StrokeSeries
+from flows.learn.labelled_recordings import PAPER_LABEL
 from flows.run.live_runner import LiveRunner
 from flows.run.run_summary import Summary
 from flows.run.supervision import signals_to
-from operators import Align, DeviceClock, Label, MaskLifted, Motion, Source, Touch, Zero, ms, s
+from operators import Align, DeviceClock, MaskLifted, Motion, Source, Touch, Zero, ms, s
 from operators.batch import Episodes, MotionKind, Reals
 from operators.errors import EndpointError, InputError
 from operators.ports import Clock, Description, Run, Sink
@@ -231,7 +232,7 @@ class Collector(Source[Episodes]):
         flow, dataset = Flow("collect"), Dataset(self._out)
         touch, motion = flow.source(self.touch, "touch"), flow.source(self._motion, "motion")
         samples = (touch | Zero()) & (motion | DeviceClock()) | Align(within=20 * ms)
-        label = Label(SLIP_SPEED, SLIP_ROTATION, self.path.plan.label_delay)
+        label = replace(PAPER_LABEL, delay=self.path.plan.label_delay)
         touch.to(dataset)
         motion.to(dataset)
         (samples | label | MaskLifted(self._series.surface.middle)).to(dataset)

@@ -20,7 +20,7 @@ from connectors.ur.control_process import WATCHDOG
 from connectors.ur.ur_state import Bounds, Pose, offset_pose
 from flows.graph.quantity import Duration, Force, Length, Speed
 from flows.lab.collection.arm_path import MAX_POSE, Extent, Line, Step, Surface, Turn
-from flows.learn.labelled_recordings import TURNS
+from flows.learn.labelled_recordings import PAPER_LABEL, TURNS
 from operators.batch import s
 from operators.checks import check_at_least, check_between
 from operators.errors import ParameterError
@@ -28,8 +28,6 @@ from operators.ports import Json
 
 Seconds: TypeAlias = Annotated[float, "s"]
 
-SLIP_SPEED: Final = 0.003  # m/s, above which a sample is labelled slip; paper
-SLIP_ROTATION: Final = 0.2  # rad/s; paper
 MAX_SPEED: Final = 0.3  # m/s; above it `Label` gives no label
 MOST: Final = 100  # sessions of one kind on a surface, rounds in a session
 _DIRECTIONS: Final = 8
@@ -37,7 +35,7 @@ _RANGES: Final = {  # lowest and highest value of each setting and limit, and it
     "depth": (0, 0.006, "m"),  # a fingertip yields by a few mm
     "slide_time": (0.01, 60, "s"),
     "rotation_time": (0.01, 60, "s"),
-    "rotation_speed": (0.25, 3, "rad/s"),  # above `SLIP_ROTATION`
+    "rotation_speed": (0.25, 3, "rad/s"),  # above that of `PAPER_LABEL`
     "rotation_acceleration": (0.01, 5, "rad/s2"),
     "rest": (0, 60, "s"),
     "baseline": (0.01, 600, "s"),
@@ -170,8 +168,8 @@ class CollectionPlan:
     limits: Limits = Limits()
 
     def __post_init__(self) -> None:
-        if not all(SLIP_SPEED < speed < MAX_SPEED for speed in self.speeds):
-            must_be = f"above {SLIP_SPEED} m/s (slower is labelled static) and below {MAX_SPEED} m/s"
+        if not all(PAPER_LABEL.speed < speed < MAX_SPEED for speed in self.speeds):
+            must_be = f"above {PAPER_LABEL.speed} m/s (slower is labelled static) and below {MAX_SPEED} m/s"
             raise ParameterError(self.name, "speeds", self.speeds, must_be)
         check_between(self.name, "label_delay", self.label_delay, 0, s, unit="ns")
         check_at_least(self.name, "seed", self.seed, 0)
