@@ -46,7 +46,7 @@ def demo(
         typer.echo("\n".join(report(out / "sessions" / done.session)))
         if mqtt:
             typer.echo(f"events published to {mqtt}; to follow them: slipflow watch {mqtt}")
-    report_run(done, as_json=False)
+    report_run(done)
 
 
 def report(folder: Path) -> list[str]:

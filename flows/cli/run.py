@@ -1,9 +1,6 @@
 """The command `slipflow run`: a flow live, or over recordings, and the report of its result."""
 
-import json
-import sys
 from collections.abc import Mapping, Sequence
-from contextlib import redirect_stdout
 from pathlib import Path
 from textwrap import indent
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +9,6 @@ import typer
 
 from flows.cli.live_view import add_metrics, add_page, check_access
 from flows.cli.options import (
-    AsJson,
     Cluster,
     Duration,
     Jobs,
@@ -59,7 +55,6 @@ def run(
             " the bearer token, and HOST to 0.0.0.0.",
         ),
     ] = None,
-    as_json: AsJson = False,
 ) -> None:
     """Run a flow live, or replay recordings through it.
 
@@ -83,7 +78,7 @@ def run(
         _refuse(live, "live runs: omit it (slipflow show shows a recording)")
         begin_log()
         paths = [*replay, *(more or ())]
-        replay_all(target, parse_settings(settings), paths, jobs=jobs, cluster=cluster, as_json=as_json)
+        replay_all(target, parse_settings(settings), paths, jobs=jobs, cluster=cluster)
         return
     replays = {"--jobs": jobs, "--cluster": cluster, "a further recording": more}
     _refuse(replays, "replays: add --replay PATH")
@@ -97,9 +92,7 @@ def run(
         add_page(flow, listen, browse=not no_browser)
     if metrics:
         add_metrics(flow, metrics)
-    with redirect_stdout(sys.stderr if as_json else sys.stdout):
-        done = execute(flow, limit)
-    report_run(done, as_json=as_json)
+    report_run(execute(flow, limit))
 
 
 def _refuse(options: Mapping[str, object], reason: str) -> None:
@@ -128,12 +121,12 @@ def execute(flow: "Flow", limit: int | None = None) -> "Run":
     return asyncio.run(live())
 
 
-def report_run(run: "Run", *, as_json: bool) -> None:
+def report_run(run: "Run") -> None:
     """Print the result of a run; exit 130 if it was interrupted, 1 if it lost something."""
     from flows.run.run_summary import Summary
 
     summary = Summary.of(run)
-    typer.echo(json.dumps(summary.as_dict()) if as_json else summary.report())
+    typer.echo(summary.report())
     if run.error:
         raise typer.Exit(130)
     if summary.error:
@@ -147,7 +140,6 @@ def replay_all(
     *,
     jobs: int | None,
     cluster: str | None,
-    as_json: bool,
 ) -> None:
     """Replay recordings, each to a session of its name, and print the results in their order.
 
@@ -164,7 +156,7 @@ def replay_all(
     from operators.errors import SlipflowError
 
     replays = Replays(FlowSource(target, tuple(settings.items())), paths)
-    if (existing := len(replays.existing)) and not as_json:
+    if existing := len(replays.existing):
         note(f"{counted(existing, 'recording')} of {existing + len(replays.recordings)} replayed already")
     if jobs is None and cluster is None and (exclusive := replays.exclusive_sinks):
         jobs = 1
@@ -177,39 +169,31 @@ def replay_all(
                 if each.error and len(replays.recordings) == 1:
                     raise SlipflowError(each.error)
                 done.append(each)
-                _print(each, reasons, as_json=as_json)
+                _print(each, reasons)
         except KeyboardInterrupt:
             note("interrupted: repeat the command to continue with the missing sessions")
             raise
     seconds = perf_counter() - began
     summaries = [each.summary for each in done if each.summary]
     failed = sum(bool(each.error) for each in done)
-    if as_json:
-        sessions = [
-            {"recording": each.recording, "error": each.error or None}
-            | (each.summary.as_dict() if each.summary else {})
-            for each in done
-        ]
-        typer.echo(json.dumps({"sessions": sessions, "existing": existing, "wall_seconds": seconds}))
-    else:
-        rows = counted(sum(one.rows for each in summaries for one in each.sources.values()), "row")
-        failures = f"; {failed} failed" if failed else ""
-        typer.echo(f"{counted(len(done), 'recording')}, {rows} in {seconds:.1f} s{failures}")
+    rows = counted(sum(one.rows for each in summaries for one in each.sources.values()), "row")
+    failures = f"; {failed} failed" if failed else ""
+    typer.echo(f"{counted(len(done), 'recording')}, {rows} in {seconds:.1f} s{failures}")
     if failed or any(each.error for each in summaries):
         raise typer.Exit(1)
 
 
-def _print(done: "Replayed", reasons: dict[str, str], *, as_json: bool) -> None:
-    """Print the output of a replay, on stderr if stdout is for JSON; `reasons` are those printed before."""
+def _print(done: "Replayed", reasons: dict[str, str]) -> None:
+    """Print the output of a replay; `reasons` are those printed before."""
     line, error = f"{done.recording}:", done.error
     if found := done.summary:
         sources = ", ".join(f"{source.rows:,} {name}" for name, source in found.sources.items())
         sinks = ", ".join(f"{sink.rows:,} to {name}" for name, sink in found.sinks.items())
         line = f"{done.recording} -> {found.session}: {found.seconds:.1f} s, {sources}; {sinks}"
         error = error or found.error
-    if done.printed or not (done.error or as_json):
-        typer.echo(line, err=as_json)
-    typer.echo(indent(done.printed, "  "), nl=False, err=as_json)
+    if done.printed or not done.error:
+        typer.echo(line)
+    typer.echo(indent(done.printed, "  "), nl=False)
     if error:
         reason = error.removeprefix(f"{done.recording}: ")
         first = reasons.setdefault(reason, done.recording)

@@ -1,8 +1,8 @@
-"""Summary of a run, as text and as JSON."""
+"""Summary of a run."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Self
 
 from operators.batch import s
 from operators.ports import Run, SinkStatus, SourceStatus
@@ -24,10 +24,6 @@ class Summary:
         """Return the summary of a run."""
         seconds, error = (run.clock.now() - run.start) / s, run.error or "; ".join(losses(run))
         return cls(run.session, run.flow, seconds, dict(run.sources), dict(run.sinks), error)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return all fields, for JSON."""
-        return {**asdict(self), "error": self.error or None}
 
     def report(self) -> str:
         """Return the summary as text."""

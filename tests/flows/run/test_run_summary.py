@@ -1,5 +1,3 @@
-import json
-
 import pytest
 
 from flows.run.run_summary import Summary
@@ -24,7 +22,6 @@ def test_the_summary_counts_rows_in_and_out(ended: Run) -> None:
         "  dataset: 12 rows out, 0 dropped",
         "  mqtt: 9 rows out, 0 dropped",
     ]
-    assert json.loads(json.dumps(summary.as_dict()))["sources"]["touch"]["rows"] == 300
 
 
 def test_the_summary_gives_the_errors_of_sources_and_sinks(ended: Run) -> None:
