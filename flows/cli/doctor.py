@@ -1,13 +1,11 @@
 """The command `slipflow doctor`."""
 
 import asyncio
-import json
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Settings, load_flow
+from flows.cli.options import Settings, load_flow
 
 if TYPE_CHECKING:
     from flows.run.diagnosis import Findings
@@ -22,7 +20,6 @@ def doctor(
     ] = None,
     *,
     settings: Settings = None,
-    as_json: AsJson = False,
 ) -> None:
     """Check this machine, and the devices that a flow uses.
 
@@ -34,11 +31,10 @@ def doctor(
     Examples:
       slipflow doctor
       slipflow doctor mine.py --set robot=10.0.0.2
-      slipflow doctor --json
     """
     found = asyncio.run(_diagnose(_declared(target, settings)))
     bad = sum(finding.state == "bad" for findings in found.values() for finding in findings)
-    typer.echo(_as_json(found) if as_json else _as_text(found, bad))
+    typer.echo(_as_text(found, bad))
     if bad:
         raise typer.Exit(1)
 
@@ -73,8 +69,3 @@ def _as_text(found: "Findings", bad: int) -> str:
     total = sum(map(len, found.values()))
     verdict = f"{bad} of {total} checks failed" if bad else f"{total} checks: nothing is bad"
     return "\n".join([*lines, verdict])
-
-
-def _as_json(found: "Findings") -> str:
-    rows = [{"part": part, **asdict(each)} for part, findings in found.items() for each in findings]
-    return json.dumps({"good": all(row["state"] != "bad" for row in rows), "findings": rows})
