@@ -9,7 +9,6 @@ import typer
 if TYPE_CHECKING:
     from flows.graph import Flow
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
 Duration = Annotated[
     str | None, typer.Option("--for", metavar="TIME", help="Stop after this time, such as 30s or 5min.")
 ]

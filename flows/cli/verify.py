@@ -1,13 +1,11 @@
 """The command `slipflow verify`."""
 
-import json
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from flows.cli.options import AsJson, DatasetOrSession
+from flows.cli.options import DatasetOrSession
 from flows.cli.terminal import note, progress_bar
 from flows.report.table import counted
 
@@ -29,7 +27,6 @@ def verify(
     repair: Annotated[
         bool, typer.Option("--repair", help="First repair sessions whose recorder was killed.")
     ] = False,
-    as_json: AsJson = False,
 ) -> None:
     """Read all files of a dataset and report losses and damage.
 
@@ -40,27 +37,24 @@ def verify(
 
     Exits 0 if the data is complete; 3 if something was or can be repaired without loss of rows on disk, or
     rows are known to be missing (for example dropped ones); 1 if recorded data is lost or damaged, even after
-    a repair. With --json, "code" has this number, and "worst" is good, repairable, repaired, lossy or lost.
-    The rows that a killed recorder could not write, for example because the disk was full, are unknown.
+    a repair. The rows that a killed recorder could not write, for example because the disk was full, are
+    unknown.
 
     Examples:
       slipflow verify recordings
-      slipflow verify recordings/sessions/stroke-9 --repair --json
+      slipflow verify recordings/sessions/stroke-9 --repair
     """
     from storage import verify as check
 
     repaired = _repair(path) if repair else []
     with progress_bar("verifying") as update:
         found = check(path, update)
-    if as_json:
-        typer.echo(json.dumps(_summary(found, repaired)))
-    else:
-        lines = list[str]()
-        for each in repaired:
-            rows = ", ".join(f"{count:,} rows of {table}" for table, count in each.rows.items()) or "no rows"
-            lines.append("; ".join([f"{each.session}: recovered {rows}", *each.done]))
-        for line in (*lines, *_lines(path, found)):  # control characters of a name are printed as escapes
-            typer.echo("".join(char if char.isprintable() else repr(char)[1:-1] for char in line))
+    lines = list[str]()
+    for each in repaired:
+        rows = ", ".join(f"{count:,} rows of {table}" for table, count in each.rows.items()) or "no rows"
+        lines.append("; ".join([f"{each.session}: recovered {rows}", *each.done]))
+    for line in (*lines, *_lines(path, found)):  # control characters of a name are printed as escapes
+        typer.echo("".join(char if char.isprintable() else repr(char)[1:-1] for char in line))
     if found.code:
         raise typer.Exit(found.code)
 
@@ -80,18 +74,6 @@ def _repair(path: Path) -> "list[Recovery]":
                 note(f"not repaired: {error}")
             update(number, len(folders))
     return [each for each in done if each.changed]
-
-
-def _summary(found: "Verified", repaired: "list[Recovery]") -> dict[str, Any]:
-    return {
-        "sessions": found.sessions,
-        "files": found.files,
-        "rows": found.rows,
-        "repaired": [{"session": each.session, "rows": dict(each.rows)} for each in repaired],
-        "findings": [asdict(finding) for finding in found.findings],
-        "worst": "good" if found.worst == "note" else found.worst,  # a note is not a fault
-        "code": found.code,
-    }
 
 
 def _lines(path: Path, found: "Verified") -> list[str]:
