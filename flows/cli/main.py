@@ -8,10 +8,9 @@ import traceback
 from contextlib import suppress
 from inspect import getdoc
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, NoReturn
+from typing import Annotated, Final, NoReturn
 
 import typer
-from typer.core import TyperGroup
 
 from flows.cli.calibrate import calibrate
 from flows.cli.check import check
@@ -31,45 +30,20 @@ from flows.cli.train import train
 from flows.cli.verify import verify
 from flows.cli.watch import watch
 
-if TYPE_CHECKING:
-    from typer._click import Context, HelpFormatter
-
-PANELS: Final = {
-    "Record and run": (run, demo, check, doctor),
-    "View": (show, watch),
-    "Train and evaluate": (train, calibrate, evaluate),
-    "Robots": (collect, experiment),
-    "Data": (verify, fetch, import_, export, simulate),
-}
-
-
-class PanelGroup(TyperGroup):
-    """A group whose help lists its commands by panel, with the first lines of their docstrings."""
-
-    def format_commands(self, ctx: "Context", formatter: "HelpFormatter") -> None:
-        """Write a section for each panel."""
-        for panel, functions in PANELS.items():
-            with formatter.section(panel):
-                formatter.write_dl(
-                    [
-                        (each.__name__.rstrip("_"), (getdoc(each) or "").partition("\n")[0])
-                        for each in functions
-                    ]
-                )
-
-
 app = typer.Typer(
-    cls=PanelGroup,
     help="Detect slip from barometric fingertips: run flows, record datasets, train detectors.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for functions in PANELS.values():
-    for function in functions:
-        text, _, lines = (getdoc(function) or "").partition("Examples:\n")
-        epilog = f"\b\nExamples:\n{lines}"  # \b: no line is wrapped up to the next empty one
-        app.command(function.__name__.rstrip("_"), help=text.rstrip(), epilog=epilog)(function)
+for function in (
+    *(run, demo, check, doctor, show, watch),
+    *(train, calibrate, evaluate, collect, experiment),
+    *(verify, fetch, import_, export, simulate),
+):
+    text, _, lines = (getdoc(function) or "").partition("Examples:\n")
+    epilog = f"\b\nExamples:\n{lines}"  # \b: no line is wrapped up to the next empty one
+    app.command(function.__name__.rstrip("_"), help=text.rstrip(), epilog=epilog)(function)
 _OUTPUT_ERRORS: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
 _NO_MEMORY: Final = ("failed to map segment", "cannot allocate memory", "can't start new thread")
 _SMALL: Final = {"numba", "polars", "scipy"}  # a small installation lacks them, see deploy/edge.txt
