@@ -13,17 +13,15 @@ from operators.ports import Description
 from storage import files
 from storage.description import VersionError, read_dataset, read_session
 from storage.files import locked
-from storage.hand_labels import HandLabels, read_hand_labels
+from storage.hand_labels import read_hand_labels
 from storage.journal import journal_files
 from storage.layout import (
     DAMAGED,
     JOURNAL,
     LABEL_FILES,
     MANIFEST,
-    SAMPLES,
     SESSION,
     TABLES,
-    TOUCH,
     check_links,
     file_name,
     files_of,
@@ -117,7 +115,6 @@ class _SessionCheck:
         self.read = list[int]()  # rows of each file that could be read
         self.about: Description = {}  # if session.json cannot be read
         self.listed: Mapping[str, Part] = {}
-        self._extents = list[tuple[int, int, set[object]]]()  # first and last time, fingertips of touch parts
         self._has_links = self._has_manifest = True
         with self._losing():
             check_links(folder)
@@ -135,10 +132,7 @@ class _SessionCheck:
         self._check_description()
         for part in self.listed.values():
             try:
-                rows = read_part(self.folder, part)
-                self.read.append(len(rows))
-                if part.path.startswith((TOUCH.name, SAMPLES.name)):
-                    self._extents.append((part.first, part.last, set(rows["finger"].unique().to_pylist())))
+                self.read.append(len(read_part(self.folder, part)))
             except InputError as error:
                 extent = f"{part.rows:,} rows, {(part.last - part.first) / s:.1f} s"
                 self._add("lost", f"{error}; it had {extent}")
@@ -207,8 +201,7 @@ class _SessionCheck:
                 self._add("note", f"{name} was down for {seconds:.1f} s: {gap['reason']}")
 
     def _check_hand_labels(self) -> None:
-        """Read all versions of the hand labels, numbered from 1, and compare the newest with the rows."""
-        labels = HandLabels()
+        """Read all versions of the hand labels, numbered from 1."""
         with self._losing():
             versions = numbered_files(self.folder, LABEL_FILES)
             missing = max(versions, default=0) - len(versions)
@@ -218,14 +211,7 @@ class _SessionCheck:
                 self._add("lost", f"{path}: is missing, with its labels{more}")
             for number in versions:
                 with self._losing():
-                    labels = read_hand_labels(self.folder, self.about, number)
-        for span in labels.spans if self.read and not self._recording else ():
-            if not any(
-                span.begin <= last and first < span.end and span.finger in fingers
-                for first, last, fingers in self._extents
-            ):
-                where = f"finger {span.finger}, {span.begin} to {span.end} ns"
-                self._add("lossy", f"labels by hand, version {labels.version}, of no row: {where}")
+                    read_hand_labels(self.folder, self.about, number)
 
     def _check_rest(self) -> None:
         """Check what a recovery would find: the journal, unlisted files and missing ones."""

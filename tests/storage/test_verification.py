@@ -174,15 +174,3 @@ def test_a_renamed_session_is_noted(dataset: Path) -> None:
     [finding] = verify(dataset).findings
     assert (finding.session, finding.weight) == ("copy", "note")
     assert "its session.json names session 'two': restore its own, unless the folder" in finding.text
-
-
-@pytest.mark.parametrize("span", [LabelSpan(0, 9, 7, "slip"), LabelSpan(60 * s, 61 * s, 0, "static")])
-def test_labels_by_hand_of_no_row_are_reported(dataset: Path, span: LabelSpan) -> None:
-    session = Session.open(dataset / "sessions/one")
-    last = int(BATCHES[-1].time[-1])
-    session.write_hand_labels(
-        [LabelSpan(0, 9, 0, "slip"), LabelSpan(last, last + 1, 0, "slip"), span], based_on=0
-    )
-    [finding] = verify(dataset).findings
-    assert finding.weight == "lossy"
-    assert f"labels by hand, version 1, of no row: finger {span.finger}, {span.begin} to" in finding.text
