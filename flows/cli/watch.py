@@ -1,7 +1,6 @@
 """The command `slipflow watch`."""
 
 import asyncio
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
@@ -24,10 +23,6 @@ def watch(
     since: Annotated[
         str, typer.Option(help="now: start with new events; start: with all events that the rigs still have.")
     ] = "now",
-    position: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Resume from the position saved in FILE, and save it there."),
-    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print each event as received: one JSON object per line.")
     ] = False,
@@ -53,7 +48,7 @@ def watch(
 
     async def show() -> None:
         async with Consumer(
-            url, site, rig, position_file=position, since="start" if since == "start" else "now", report=note
+            url, site, rig, since="start" if since == "start" else "now", report=note
         ) as events:
             note(f"connected to {url}; waiting for slip events of {site}/{rig}")
             async for event in events:
