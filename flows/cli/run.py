@@ -162,14 +162,14 @@ def replay_all(
         jobs = 1
         if len(replays.recordings) > 1:
             note(f"replaying one recording at a time: only one process can write to {', '.join(exclusive)}")
-    began, done, reasons = perf_counter(), list["Replayed"](), dict[str, str]()
+    began, done = perf_counter(), list["Replayed"]()
     with workers(jobs, cluster) as executor, progress_bar(f"replaying {target}") as update:
         try:
             for each in replays.run(executor, progress=update):
                 if each.error and len(replays.recordings) == 1:
                     raise SlipflowError(each.error)
                 done.append(each)
-                _print(each, reasons)
+                _print(each)
         except KeyboardInterrupt:
             note("interrupted: repeat the command to continue with the missing sessions")
             raise
@@ -183,8 +183,8 @@ def replay_all(
         raise typer.Exit(1)
 
 
-def _print(done: "Replayed", reasons: dict[str, str]) -> None:
-    """Print the output of a replay; `reasons` are those printed before."""
+def _print(done: "Replayed") -> None:
+    """Print the output of a replay."""
     line, error = f"{done.recording}:", done.error
     if found := done.summary:
         sources = ", ".join(f"{source.rows:,} {name}" for name, source in found.sources.items())
@@ -195,6 +195,4 @@ def _print(done: "Replayed", reasons: dict[str, str]) -> None:
         typer.echo(line)
     typer.echo(indent(done.printed, "  "), nl=False)
     if error:
-        reason = error.removeprefix(f"{done.recording}: ")
-        first = reasons.setdefault(reason, done.recording)
-        note(f"error: {done.recording}: {reason if first == done.recording else f'as for {first}'}")
+        note(f"error: {done.recording}: {error.removeprefix(f'{done.recording}: ')}")

@@ -48,7 +48,7 @@ def test_what_a_flow_file_prints_is_printed_once(tiny: Path, tmp_path: Path) -> 
     assert done.stdout.splitlines()[-1].startswith("2 recordings, ")
 
 
-def test_a_dataset_is_compiled_for_once_and_a_common_error_printed_once(tiny: Path, tmp_path: Path) -> None:
+def test_a_dataset_is_compiled_for_once_and_each_recording_has_its_error(tiny: Path, tmp_path: Path) -> None:
     two, flow = [tiny / "sessions" / name for name in session_names(tiny)[:2]], tmp_path / "own.py"
     errors = list[str]()
     for operator in ("Pool(((0,), (9,)))", "Pool(gain=0.5)"):
@@ -57,7 +57,7 @@ def test_a_dataset_is_compiled_for_once_and_a_common_error_printed_once(tiny: Pa
         command = [*SLIPFLOW, "run", str(flow), "--replay", *map(str, two), "--jobs", "2"]
         env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
         errors += [captured(*command, env=env).stderr]
-    assert errors[0].count("Pool needs 10 cells") == errors[0].count(f"error: {two[1]}: as for {two[0]}") == 1
+    assert all(re.search(f"error: {each}: .*Pool needs 10 cells", errors[0]) for each in two)
     assert errors[1].count("compiling for this machine") == 1
 
 
