@@ -83,7 +83,7 @@ async def test_sources_and_sinks_are_those_of_the_runner(run: Run) -> None:
     strange = 'a "b"\n\\c'
     run.sources["touch"] = SourceStatus(rows=500, late=3, newest=NOW - 30 * ms, up=True)
     run.sources[strange] = SourceStatus(failures=4, error="unplugged", gaps=[Gap(s, 3 * s, "unplugged")])
-    mqtt = SinkStatus(rows=7, queued=2, waiting=4, unstored=1, dropped=5, failures=3, error="host: refused")
+    mqtt = SinkStatus(rows=7, queued=2, waiting=4, unstored=1, dropped=5, connected=True, error="refused")
     run.sinks["mqtt"], run.sinks["dataset"] = mqtt, SinkStatus(rows=9, unstored=6)
     run.clock_steps.append(ClockStep(NOW, -2 * s))
     touch: dict[str, Any] = {"rows_total": 500, "late_rows_total": 3, "lag_seconds": 0.03, "up": 1}
@@ -94,6 +94,7 @@ async def test_sources_and_sinks_are_those_of_the_runner(run: Run) -> None:
         **{key(f"source_{name}", source="touch"): value for name, value in touch.items()},
         **{key(f"source_{name}", source=strange): value for name, value in other.items()},
         **{key(f"sink_{name}", sink="mqtt"): value for name, value in sink.items()},
+        key("sink_connected", sink="mqtt"): 1,
         key("sink_unstored_rows", sink="dataset"): 6,
         key("host_clock_offset_seconds"): -2,
         key("host_clock_steps_total"): 1,

@@ -1,29 +1,22 @@
-import asyncio
-import socket
 import sys
 from io import StringIO
 from pathlib import Path
 from queue import Queue
-from urllib.parse import urlsplit
 
 import pytest
-from aiohttp import ClientSession
 
-from connectors import Metrics, Mqtt, Page
+from connectors import Metrics, Page
 from flows import demo as ready_made
 from flows.cli.live_view import add_metrics, add_page, announce_page, check_access
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
-from flows.run.live_runner import LiveRunner
-from operators import TAKKTILE, Debounce, Health, ParameterError, Score, Touch, Zero, s
+from operators import TAKKTILE, Debounce, Health, ParameterError, Run, Score, Touch, Zero
 from operators.batch import Faults, Scores, Slips, Zeroed
 from storage import load_detector
 from tests.command import Terminal
-from tests.connectors.mqtt.broker_process import TestBroker
-from tests.connectors.web.reading import slip
 from tests.flows.run.live import Described, flow_of
-from tests.waiting import PATIENCE, until
+from tests.waiting import PATIENCE
 
 
 def page_of(flow: Flow) -> tuple[Page, list[str]]:
@@ -100,52 +93,18 @@ def test_a_browser_opens_only_for_a_person(monkeypatch: pytest.MonkeyPatch, prog
     assert opened.get(timeout=PATIENCE) == "http://three"  # the first, and without its token
 
 
-def test_the_metrics_take_slips_faults_scores_and_clocks_of_those_that_there_are() -> None:
-    flow = flow_of(TestSource(Scores), TestSink(), through=[Debounce()])
-    add_metrics(flow, "9464")
-    assert problems(flow) == []
-    [node] = [node for node, sink in flow.sinks().items() if isinstance(sink, Metrics)]
-    assert [parent.gives for parent in node.inputs] == [Slips, Scores]
-    add_metrics(flow, "9464")
-    [problem] = problems(flow)
-    assert "metrics2: writes to http://127.0.0.1:9464, as does Debounce -> metrics" in str(problem)
-
-
-@pytest.mark.broker
-async def test_the_metrics_are_announced_once_open_and_show_whether_the_broker_is_connected(
-    broker: TestBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+async def test_the_metrics_are_announced_once_they_are_served(
+    run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    addresses = list[str]()
-
-    def announce(text: str) -> None:
-        address = urlsplit(text.removeprefix("metrics: "))
-        socket.create_connection((address.hostname, address.port)).close()
-        addresses.append(address.geturl())
-
-    async def reach(state: str) -> None:
-        while f'slipflow_sink_connected{{sink="mqtt"}} {state}' not in await scrape():  # noqa: ASYNC110
-            await asyncio.sleep(0.1)
-
-    async def scrape() -> str:
-        async with ClientSession() as session, session.get(addresses[0]) as response:
-            return await response.text()
-
-    monkeypatch.setattr("flows.cli.live_view.note", announce)
-    flow = Flow("publishing")
-    slips = flow.source(TestSource(Slips, [slip(0, 1), slip(3600 * s, 0)], fingers=(0,)))
-    slips.to(Mqtt(broker.url, rig="rig", outbox=tmp_path / "outbox", connect_required=False))
+    said = list[str]()
+    monkeypatch.setattr("flows.cli.live_view.note", said.append)
+    flow = flow_of(TestSource(Scores), TestSink(), through=[Debounce()])
     add_metrics(flow, "127.0.0.1:0")
-    broker.stop()
-    runner = LiveRunner(flow, "publishing-1")
-    assert not addresses
-    running = asyncio.create_task(runner.execute())
-    async with asyncio.timeout(PATIENCE):
-        await until(lambda: bool(addresses))
-        await reach("0.0")
-        await asyncio.to_thread(broker.start)
-        await reach("1.0")
-    runner.stop()
-    await running
+    [(node, metrics)] = [(node, sink) for node, sink in flow.sinks().items() if isinstance(sink, Metrics)]
+    assert [parent.gives for parent in node.inputs] == [Slips, Scores]
+    await metrics.open(run)
+    assert said == [f"metrics: {metrics.url}"]
+    await metrics.close()
 
 
 def test_a_token_that_is_too_short_is_rejected_before_a_run(monkeypatch: pytest.MonkeyPatch) -> None:

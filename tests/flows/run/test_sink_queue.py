@@ -255,10 +255,12 @@ def test_further_stops_report_the_exact_number_of_rows_that_a_slow_sink_lost(
     assert run.clock.now() - run.start >= end * s
 
 
-def test_the_status_of_a_run_has_the_numbers_of_waiting_and_unstored_rows() -> None:
-    seen = list[tuple[int | None, int]]()
+def test_the_status_of_a_run_has_the_numbers_of_waiting_and_unstored_rows_and_the_connection() -> None:
+    seen = list[tuple[int | None, int, bool | None]]()
 
     class Unstored(TestSink):
+        connected = True
+
         @property
         def waiting(self) -> int:
             return 7 + self.closed
@@ -269,9 +271,9 @@ def test_the_status_of_a_run_has_the_numbers_of_waiting_and_unstored_rows() -> N
 
         async def close(self) -> None:
             status = self.run.sinks["unstored"]
-            seen.append((status.waiting, status.unstored))
+            seen.append((status.waiting, status.unstored, status.connected))
             await super().close()
 
     status = execute(flow_of(Endless(), Unstored()), duration=3 * s).sinks["unstored"]
-    assert seen == [(7, 5)]
+    assert seen == [(7, 5, True)]
     assert (status.waiting, status.unstored, status.dropped) == (3, 0, 5)
