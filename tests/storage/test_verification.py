@@ -169,8 +169,9 @@ def test_a_document_of_another_session_is_refused(dataset: Path, other: Path, do
         Session.open(folder).hand_labels()
 
 
-def test_a_renamed_session_is_noted(dataset: Path) -> None:
+def test_a_renamed_session_is_noted_and_has_the_name_of_its_folder(dataset: Path) -> None:
     (dataset / "sessions/two").rename(dataset / "sessions/copy")
+    assert Session.open(dataset / "sessions/copy").name == "copy"  # as of the files of an export
     [finding] = verify(dataset).findings
     assert (finding.session, finding.weight) == ("copy", "note")
     assert "its session.json names session 'two': restore its own, unless the folder" in finding.text
