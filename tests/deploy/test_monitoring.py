@@ -10,9 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from grafana_foundation_sdk.cog.encoder import JSONEncoder
-from grafana_foundation_sdk.cog.plugins import register_default_plugins
-from grafana_foundation_sdk.models.dashboard import Dashboard
 from prometheus_client.parser import text_string_to_metric_families
 from ruamel.yaml import YAML
 
@@ -26,14 +23,6 @@ from tests.deploy.shipped import DEPLOY, PAGE
 RULES = DEPLOY / "prometheus" / "alerts.yml"
 SCRAPES = DEPLOY / "prometheus" / "prometheus.yml"
 DASHBOARD = (DEPLOY / "grafana" / "slipflow.json").read_text()
-
-
-def leaves(data: Any, path: str = "") -> set[tuple[str, str]]:
-    """Return the values of a JSON document with their paths."""
-    if not isinstance(data, dict | list):
-        return {(path, str(data))}
-    items = data.items() if isinstance(data, dict) else enumerate(data)
-    return {leaf for name, each in items for leaf in leaves(each, f"{path}/{name}")}
 
 
 def samples(run: Run) -> dict[str, set[str]]:
@@ -60,13 +49,8 @@ def test_every_metric_and_label_of_rules_and_dashboard_exists(run: Run) -> None:
     assert {*re.findall(r"\{\{(\w+)\}\}", DASHBOARD)} <= known
 
 
-@pytest.mark.parametrize("mistake", ["", "expression"])
-def test_grafana_s_schema_has_all_fields_of_the_dashboard(mistake: str) -> None:
-    register_default_plugins()
-    data = json.loads(DASHBOARD.replace('"expr"', f'"{mistake or "expr"}"'))
-    kept = json.loads(JSONEncoder().encode(Dashboard.from_json(data)))
-    assert bool(leaves(data) - leaves(kept)) == bool(mistake)
-    panels = data["panels"]
+def test_the_panels_of_the_dashboard_have_a_source_and_a_place_each() -> None:
+    panels = json.loads(DASHBOARD)["panels"]
     assert all(panel["datasource"]["uid"] == "${datasource}" for panel in panels)
     assert len({panel["id"] for panel in panels}) == len(panels)
     assert len({(panel["gridPos"]["x"], panel["gridPos"]["y"]) for panel in panels}) == len(panels)
