@@ -168,13 +168,9 @@ def test_certificates_are_made_once_and_a_later_call_adds_a_user(tmp_path: Path)
     ("words", "why"),
     [
         (("broker", "ca"), "a USER cannot be ca or broker"),
-        (("broker", "broker"), "a USER cannot be ca or broker"),
         (("broker", "../ca"), "'../ca': use letters"),
-        (("broker", ""), "'': use letters"),
-        (("mqtts://broker",), "'mqtts://broker': use letters"),
         (("other",), "broker.crt is not for other"),
         (("10.0.0.1",), "broker.crt is not for 10.0.0.1"),
-        (("10.0.0.300",), "broker.crt is not for 10.0.0.300"),
         (("broker", "x" * 65), "maxsize=64"),
     ],
 )
