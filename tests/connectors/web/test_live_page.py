@@ -8,10 +8,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
-from aiohttp import ClientSession, WSServerHandshakeError
+from aiohttp import ClientSession
 
 from connectors import Page
-from connectors.web.access import TOKEN
 from operators.batch import Touch, Zeroed, ms, s
 from operators.ports import Run
 from tests.connectors.web.reading import listening, slip
@@ -20,7 +19,6 @@ from tests.waiting import PATIENCE
 Frames: TypeAlias = AsyncIterator[dict[str, Any]]
 
 NOW = 100 * s
-SECRET = "0123456789abcdef"  # noqa: S105 - of tests
 
 
 @asynccontextmanager
@@ -83,20 +81,3 @@ async def test_the_end_of_a_run_is_sent_last(run: Run) -> None:
         await closing
         with pytest.raises(ConnectionRefusedError):
             await asyncio.open_connection(*re.findall(r"//(.*):(\d+)", page.url)[0])
-
-
-async def test_listening_needs_the_token_and_the_origin_of_the_page(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(TOKEN, SECRET)
-    page = Page(port=0)
-    await page.open(run)
-    own, foreign, token = {"Origin": page.url}, {"Origin": "http://evil.example"}, f"Bearer {SECRET}"
-    async with ClientSession() as session:
-        for headers in (own, {"Authorization": token}, {"Authorization": token, **foreign}):
-            with pytest.raises(WSServerHandshakeError, match="403"):
-                await session.ws_connect(f"{page.url}/live", headers=headers)
-        async with session.ws_connect(f"{page.url}/live", headers={"Authorization": token, **own}) as socket:
-            await socket.send_str("")
-            assert (await socket.receive_json())["run"]["session"] == "run1"
-    await page.close()

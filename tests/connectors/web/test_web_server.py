@@ -89,7 +89,9 @@ async def test_every_response_has_security_headers_and_a_rebound_host_name_is_re
             assert "Access-Control-Allow-Origin" not in headers
 
 
-async def test_only_pages_of_the_server_can_write(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_only_pages_of_the_server_can_write_and_open_a_web_socket(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(web_server, "_BODY_MAX", 1000)
     server = numbers(SECRET)
     foreign = "http://evil.example", "null", "http://127.0.0.1:1", "http://127.0.0.1.evil.example", ""
@@ -106,6 +108,9 @@ async def test_only_pages_of_the_server_can_write(monkeypatch: pytest.MonkeyPatc
             assert await post(b"{}", Origin=origin) == 403, origin
         assert await post(b"{}", Origin=server.url, Authorization="") == 403
         assert (await get(session, "/notes", **BEARER))[0] == 404
+        for origin, status in (server.url, 200), ("", 403), (foreign[0], 403):
+            headers = {**BEARER, "Upgrade": "websocket", "Origin": origin}
+            assert (await get(session, "/data", **headers))[0] == status
 
 
 async def test_a_port_in_use_is_an_error_unless_any_port_will_do() -> None:
