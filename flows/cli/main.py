@@ -112,7 +112,7 @@ def explanation(error: Exception) -> tuple[int, str]:
         return 2, usage_error(error)
     if isinstance(error, BrokenPipeError | OutputClosedError):  # `slipflow ... | head`
         return 1, ""
-    if isinstance(error, SlipflowError) or (type(error) is RuntimeError and "Symlink loop" in str(error)):
+    if isinstance(error, SlipflowError):
         text = str(error)
     elif isinstance(error, OSError) and (error.filename is not None or error.errno in _OUTPUT_ERRORS):
         text = f"{error.filename or 'standard output'}: {os_error_reason(error)}"
