@@ -2,12 +2,10 @@
 
 import asyncio
 import json
-from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, replace
-from operator import itemgetter
 from time import time_ns
 from typing import Any, Final, TypeAlias
 
@@ -15,9 +13,9 @@ import numpy as np
 from aiohttp import web
 from numpy.typing import NDArray
 
-from connectors.events import Fault, Slip, encode, faults, finger_name, quality, slips
+from connectors.events import Slip, encode, finger_name, slips
 from connectors.sim.simulated_rig import true_slips
-from connectors.web.curves import GAP, curve_json, event_json, faults_json, join_rows, plotted, thin_curve
+from connectors.web.curves import GAP, curve_json, event_json, join_rows, plotted, thin_curve
 from connectors.web.web_server import PAGE_FILES, Handler
 from operators import Debounce
 from operators.batch import (
@@ -25,7 +23,6 @@ from operators.batch import (
     SLIP,
     STATIC,
     Codes,
-    Faults,
     Labelled,
     Motion,
     Scores,
@@ -53,7 +50,7 @@ _LABELS_USAGE: Final = (
 )
 
 
-class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
+class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Truth]):
     """Page of a recorded session: keeps a replay of it in memory, and answers requests.
 
     Labelled touch and truth become the bands ``label`` and ``truth``; touch without labels becomes curves.
@@ -76,7 +73,6 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         self.curves: dict[str, tuple[Times, Values]] = {}
         self._truth = defaultdict[str, list[Truth]](list)  # by fingertip
         self.bands: dict[str, Json] = {}
-        self._faults = defaultdict[str, list[tuple[int, frozenset[Fault]]]](list)  # time (ns), active ones
         self._events: list[_Event] = []
         self._rows = 0
 
@@ -89,7 +85,7 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         """Set the start of `run`."""
         self.start = run.start
 
-    def take(self, batch: Zeroed | Motion | Scores | Slips | Faults | Truth) -> bool:
+    def take(self, batch: Zeroed | Motion | Scores | Slips | Truth) -> bool:
         """Keep the rows of a batch.
 
         Raises:
@@ -99,11 +95,6 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         match batch:
             case Slips():
                 self._events.extend((finger, slip) for slip in slips(batch))
-            case Faults():
-                known = self._faults[finger]
-                for time, fault, begins in faults(batch):
-                    active = known[-1][1] if known else frozenset[Fault]()
-                    known.append((time, active | {fault} if begins else active - {fault}))
             case Truth():
                 self._truth[finger].append(batch)
             case Labelled():
@@ -179,36 +170,26 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         return self._events_json(events)
 
     def window(self, begin: float, end: float, columns: int | None) -> dict[str, Json]:
-        """Return the curves from `begin` to `end` (ms since `start`), and faults and quality at the end.
+        """Return the curves from `begin` to `end` (ms since `start`), by stream and fingertip.
 
         Curves are reduced to the minimum and maximum of each of `columns` pixel columns, or to the newest row
         if `columns` is None.
         """
         first, last = (self.start + round(each * ms) for each in (begin, end))
-        rows, qualities = dict[str, Json](), dict[str, Json]()
+        rows = dict[str, Json]()
         for name, (times, every) in self.curves.items():
             part = slice(*np.searchsorted(times, [first, last + 1]))
             time, values = times[part], every[part]
-            stream, _, finger = name.partition(" ")
-            if stream == "scores" and len(time):
-                qualities[finger] = quality(values.item(-1), self._faults_at(finger, last))
             newest = time[-1:], values[-1:]
             thin = thin_curve(time, values, first, last, columns) if columns else newest
             rows[name] = curve_json(*thin, self.start)
-        current = {finger: self._faults_at(finger, last) for finger in self._faults}
-        return {"rows": rows, "faults": faults_json(current), "quality": qualities}
-
-    def _faults_at(self, finger: str, time: int) -> frozenset[Fault]:
-        known = self._faults.get(finger, [])
-        row = bisect_right(known, time, key=itemgetter(0))
-        return known[row - 1][1] if row else frozenset()
+        return rows
 
     def _events_json(self, events: list[_Event]) -> list[Json]:
         """Return events in order of time; fingertips are written one after the other."""
         ordered = sorted(events, key=lambda event: event[1].time)
         return [
-            event_json(number, finger, slip, self.start, faults=self._faults_at(finger, slip.time))
-            for number, (finger, slip) in enumerate(ordered, 1)
+            event_json(number, finger, slip, self.start) for number, (finger, slip) in enumerate(ordered, 1)
         ]
 
     def _runs(self, time: Times, code: Codes) -> list[Json]:
@@ -224,8 +205,7 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         begin, end, at, columns = (_number(request, name) for name in ("begin", "end", "at", "columns"))
         if not (begin <= end and 1 <= columns <= _COLUMNS_MAX):
             raise InputError(request.path, f"must have begin <= end, and 1 to {_COLUMNS_MAX} columns")
-        shown = self.window(begin, end, int(columns))
-        return {"rows": shown["rows"], "at": self.window(at - _VALID_FOR, at, None)}
+        return {"rows": self.window(begin, end, int(columns)), "at": self.window(at - _VALID_FOR, at, None)}
 
     def _write_labels(self, _: web.Request, body: bytes) -> Json:
         now = str(time_ns())

@@ -30,7 +30,7 @@ def add_page(flow: "Flow", listen: str | None = None, *, browse: bool = False) -
     def announce(url: str) -> None:
         announce_page("live page", url, page.login_url, browse=browse)
 
-    watch_cells(flow)
+    _watch_cells(flow)
     page = Page(port, host, threshold=thresholds[0] if thresholds else None, opened=announce)
     touch = first_streams(flow, Zeroed) or first_streams(flow, Touch)
     for node in [*touch, *first_streams(flow, Motion, Scores, Slips, Faults)]:
@@ -49,18 +49,16 @@ def first_streams(flow: "Flow", *kinds: "type[Batch]") -> "list[Node]":
     return found
 
 
-def watch_cells(flow: "Flow") -> "list[Node]":
-    """Add `Health` to the raw touch of a known range of each fingertip without faults; return its nodes."""
+def _watch_cells(flow: "Flow") -> None:
+    """Add `Health` to the raw touch of a known range of each fingertip without faults."""
     from operators import Faults, Health, Source, Touch
     from operators.batch import s
 
     watched = {finger for node in first_streams(flow, Faults) for finger in node.fingers}
-    added: list[Node] = []
     for node in first_streams(flow, Touch):
         fingertip = node.part.fingertip if isinstance(node.part, Source) else None
         if fingertip and fingertip.range and watched.isdisjoint(node.fingers):
-            added.append(flow.add("faults", Health(clear_after=2 * s), node))
-    return added
+            flow.add("faults", Health(clear_after=2 * s), node)
 
 
 def check_access(option: str, listen: str | None) -> None:

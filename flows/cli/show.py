@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from flows.cli.live_view import announce_page, watch_cells
+from flows.cli.live_view import announce_page
 from flows.cli.options import Listen, NoBrowser, parse_address
 from flows.cli.terminal import note
 
@@ -101,7 +101,7 @@ async def load(session: "Session", detector: str = _DEFAULT) -> "SessionPage":
     from connectors.web.session_page import SessionPage
     from flows.graph import Flow
     from flows.run.replay_runner import ReplayRunner
-    from operators import Debounce, Faults, Labelled, Motion, Score, Slips, Touch, Truth, Zero
+    from operators import Debounce, Labelled, Motion, Score, Slips, Touch, Truth, Zero
     from storage import load_debounce, load_detector
 
     session.hand_labels()  # an error of its files ends the command before the scoring
@@ -116,9 +116,7 @@ async def load(session: "Session", detector: str = _DEFAULT) -> "SessionPage":
         scores.to(page)
         if not has_slips:
             (scores | debounce).to(page)
-    for faults in () if session.fingers(Faults) else watch_cells(flow):
-        flow.add_sink(page, faults)
-    kinds: tuple[type[Any], ...] = (Slips, Faults, Motion, Labelled, Truth)
+    kinds: tuple[type[Any], ...] = (Slips, Motion, Labelled, Truth)
     for kind in kinds:
         if session.fingers(kind):
             flow.source(Replay(session, kind)).to(page)

@@ -57,8 +57,7 @@ export function recorded(view, about) {
     try {
       const { rows, at } = await get("window", { begin: span[0], end: span[1], at: t, columns: view.charts.columns });
       figures = new Streams();
-      figures.take(at.rows, view.sign);
-      Object.assign(view, { faults: at.faults, quality: at.quality });
+      figures.take(at, view.sign);
       view.take(rows, "replace"); // reduced curves keep the extremes
       for (const finger of view.streams.fingers) view.deepen(view.streams.of("touch", finger).columns.flat());
       slider.setAttribute("aria-valuetext", `${elapsed(t)}${view.slips(view.finger) ? ", slip" : ""}`);

@@ -15,12 +15,11 @@ from connectors.web.session_page import SessionPage
 from connectors.web.web_server import page_server
 from flows.cli.show import load
 from operators import Debounce
-from operators.batch import Faults, Slips, Truth, Zeroed, ms, s
+from operators.batch import Slips, Truth, Zeroed, ms, s
 from operators.errors import InputError
-from operators.health import FaultKind
 from operators.ports import Run
 from storage import Session
-from tests.connectors.web.reading import fault, scored, slip, touched
+from tests.connectors.web.reading import scored, slip, touched
 from tests.storage.made import new_samples, write_pad
 from tests.waiting import PATIENCE
 
@@ -76,8 +75,7 @@ def keep(session: Session, run: Run) -> Keep:
 
 
 def cut(recorded: SessionPage, begin: float, end: float) -> dict[str, Any]:
-    found: Any = recorded.window(begin, end, 1000)["rows"]
-    return {**found}
+    return recorded.window(begin, end, 1000)
 
 
 async def test_a_late_row_and_an_early_one_are_in_the_windows_of_their_times(keep: Keep) -> None:
@@ -91,12 +89,11 @@ async def test_a_late_row_and_an_early_one_are_in_the_windows_of_their_times(kee
 
 
 async def test_the_contents_have_the_length_and_the_events_in_order_of_time(keep: Keep) -> None:
-    batches: list[Zeroed | Slips | Faults] = [
+    batches: list[Zeroed | Slips] = [
         touched(START, -300),
         touched(START + 50 * ms, -300),
         *[slip(START + at * ms, state) for at, state in ((10, 1), (40, 0))],
         *[slip(START + at * ms, state, finger=2) for at, state in ((5, 1), (40, 0))],
-        fault(START + 20 * ms, 3, FaultKind.STUCK),
     ]
     contents: dict[str, Any] = {**(await keep(*batches)).contents()}
     assert (contents["session"], contents["start"], contents["length"]) == ("one", 90_000, 50)
@@ -108,22 +105,14 @@ async def test_the_contents_have_the_length_and_the_events_in_order_of_time(keep
         (3, 40, "0", False),
         (4, 40, "2", False),
     ]
-    assert [event["quality"][0] for event in contents["events"]] == ["good", "good", "doubtful", "good"]
 
 
-async def test_faults_and_quality_are_those_of_the_time(keep: Keep) -> None:
-    stuck = fault(START + 50 * ms, 3, FaultKind.STUCK)
+async def test_the_values_at_a_time_are_those_of_the_newest_row_of_the_last_second(keep: Keep) -> None:
     scores = [scored(START + k * 10 * ms, k / 10) for k in range(10)]
-    recorded, marked = await keep(touched(START - 2 * s, -7), *scores, stuck), {"0": {"3": "stuck"}}
-    for at, time, faults, quality in (
-        (45, [40], {}, "good"),
-        (60, [60], marked, "doubtful"),
-        (-1, [], {}, None),
-    ):
-        found: dict[str, Any] = {**recorded.window(at - 1000, at, None)}
-        assert (found["faults"], found["quality"].get("0", [None])[0]) == (faults, quality)
-        assert found["rows"]["scores 0"]["t"] == time
-    assert found["rows"]["touch 0"]["t"] == [], "its row is too old"
+    recorded = await keep(touched(START - 2 * s, -7), *scores)
+    for at, time in (45, [40]), (60, [60]), (-1, []):
+        found: dict[str, Any] = recorded.window(at - 1000, at, None)
+        assert (found["scores 0"]["t"], found["touch 0"]["t"]) == (time, [])
 
 
 async def test_labels_and_truth_are_runs_that_end_where_a_value_changes_or_a_pause_begins(keep: Keep) -> None:

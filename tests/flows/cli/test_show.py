@@ -41,15 +41,15 @@ def test_a_session_is_shown_with_recorded_slips_and_new_scores(session: Session)
     assert [event["t"] for event in contents["events"]] == [
         (time - recorded.start) / 1e6 for time in session.frame("slips")["time"].to_list()
     ]
-    rows: Any = recorded.window(3_000, 4_000, 1000)["rows"]
+    rows: Any = recorded.window(3_000, 4_000, 1000)
     assert len(rows["touch 0"]["t"]) == pytest.approx(100, abs=2)
     assert len(rows["scores 0"]["t"]) == pytest.approx(100, abs=2)
     assert len(rows["speed every"]["t"]) == pytest.approx(125, abs=2)
     psd = asyncio.run(load(session, "psd")).rule
     assert psd == load_debounce("psd") == Debounce(consecutive=2, release=10)
     onset = next(event["t"] for event in contents["events"] if event["onset"])
-    seen: dict[str, Any] = {**recorded.window(onset - 1000, onset, None)}
-    assert seen["rows"]["scores 0"]["v"][0] >= recorded.rule.threshold
+    seen: Any = recorded.window(onset - 1000, onset, None)
+    assert seen["scores 0"]["v"][0] >= recorded.rule.threshold
 
 
 def test_a_fingertip_that_the_default_was_not_made_for_is_shown_without_scores(tmp_path: Path) -> None:
