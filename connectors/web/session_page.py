@@ -14,14 +14,11 @@ from aiohttp import web
 from numpy.typing import NDArray
 
 from connectors.events import Slip, encode, finger_name, slips
-from connectors.sim.simulated_rig import true_slips
 from connectors.web.curves import GAP, curve_json, event_json, join_rows, plotted, thin_curve
 from connectors.web.web_server import PAGE_FILES, Handler
 from operators import Debounce
 from operators.batch import (
     EVERY,
-    SLIP,
-    STATIC,
     Codes,
     Labelled,
     Motion,
@@ -29,9 +26,7 @@ from operators.batch import (
     Slips,
     Times,
     Touch,
-    Truth,
     Zeroed,
-    concat,
     ms,
 )
 from operators.errors import InputError
@@ -50,10 +45,10 @@ _LABELS_USAGE: Final = (
 )
 
 
-class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Truth]):
+class SessionPage(Sink[Zeroed | Motion | Scores | Slips]):
     """Page of a recorded session: keeps a replay of it in memory, and answers requests.
 
-    Labelled touch and truth become the bands ``label`` and ``truth``; touch without labels becomes curves.
+    Labelled touch becomes the band ``label``; touch without labels becomes curves.
 
     Args:
         session: Session; its labels by hand are shown and written.
@@ -71,7 +66,6 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Truth]):
         self.start = self.end = 0  # ns, start of the run and newest row
         self._arriving = defaultdict[str, list[tuple[Times, Values]]](list)  # joined in `close`
         self.curves: dict[str, tuple[Times, Values]] = {}
-        self._truth = defaultdict[str, list[Truth]](list)  # by fingertip
         self.bands: dict[str, Json] = {}
         self._events: list[_Event] = []
         self._rows = 0
@@ -85,7 +79,7 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Truth]):
         """Set the start of `run`."""
         self.start = run.start
 
-    def take(self, batch: Zeroed | Motion | Scores | Slips | Truth) -> bool:
+    def take(self, batch: Zeroed | Motion | Scores | Slips) -> bool:
         """Keep the rows of a batch.
 
         Raises:
@@ -95,8 +89,6 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Truth]):
         match batch:
             case Slips():
                 self._events.extend((finger, slip) for slip in slips(batch))
-            case Truth():
-                self._truth[finger].append(batch)
             case Labelled():
                 self._arriving[f"label {finger}"].append((batch.time, batch.label))
             case Scores():  # exact, as they are detected again
@@ -119,14 +111,7 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Truth]):
                 self.bands[name] = self._runs(*joined)
             else:
                 self.curves[name] = joined
-        for finger, truths in self._truth.items():
-            truth = concat(Truth, truths)
-            code = np.full(len(truth), STATIC, np.int8)
-            for onset, end in true_slips(truth):
-                code[(truth.time >= onset) & (truth.time <= end)] = SLIP
-            self.bands[f"truth {finger}"] = self._runs(truth.time, code)
         self._arriving.clear()
-        self._truth.clear()
 
     @property
     def routes(self) -> tuple[web.AbstractRouteDef, ...]:

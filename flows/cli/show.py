@@ -101,7 +101,7 @@ async def load(session: "Session", detector: str = _DEFAULT) -> "SessionPage":
     from connectors.web.session_page import SessionPage
     from flows.graph import Flow
     from flows.run.replay_runner import ReplayRunner
-    from operators import Debounce, Labelled, Motion, Score, Slips, Touch, Truth, Zero
+    from operators import Debounce, Labelled, Motion, Score, Slips, Touch, Zero
     from storage import load_debounce, load_detector
 
     session.hand_labels()  # an error of its files ends the command before the scoring
@@ -116,7 +116,7 @@ async def load(session: "Session", detector: str = _DEFAULT) -> "SessionPage":
         scores.to(page)
         if not has_slips:
             (scores | debounce).to(page)
-    kinds: tuple[type[Any], ...] = (Slips, Motion, Labelled, Truth)
+    kinds: tuple[type[Any], ...] = (Slips, Motion, Labelled)
     for kind in kinds:
         if session.fingers(kind):
             flow.source(Replay(session, kind)).to(page)

@@ -1,10 +1,10 @@
-// Bands under the curves: slip events, recorded label, true sliding and label by hand, on the time axis of the charts.
+// Bands under the curves: slip events, recorded label and label by hand, on the time axis of the charts.
 
 import { LEFT, RIGHT } from "./charts.js";
 import { colour } from "./dom.js";
 
 const ROW = 18; // px
-const NAMES = { slips: "events", label: "label", truth: "truth", hand: "hand" };
+const NAMES = { slips: "events", label: "label", hand: "hand" };
 const SLIP = 1, UNKNOWN = -1;
 export const CODES = { slip: SLIP, static: 0, unknown: UNKNOWN };
 

@@ -42,7 +42,7 @@ export function recorded(view, about) {
   // Draw everything that was loaded.
   function redraw() {
     const rows = { slips: view.events.spans(view.finger, about.length).map((each) => [...each, 1]) };
-    for (const name of ["label", "truth"]) rows[name] = about.bands[`${name} ${view.finger}`] ?? about.bands[`${name} every`];
+    rows.label = about.bands[`label ${view.finger}`] ?? about.bands["label every"];
     rows.hand = labels.band(view.finger);
     bands.show(rows, { begin: span[0], end: span[1], at: instant(), selected: dragged ?? labels.selected });
     $("unzoom").hidden = span === whole;
@@ -79,7 +79,7 @@ export function recorded(view, about) {
     const value = (stream) => figures.of(stream, view.finger)?.last?.[0] ?? null;
     if (value("scores") !== null) found.push(`probability ${value("scores").toFixed(3)}`);
     if (value("speed") !== null) found.push(`TCP ${value("speed").toFixed(1)} mm/s`);
-    for (const [name, text] of [["label", "label"], ["truth", "truth"], ["hand", "by hand"]]) {
+    for (const [name, text] of [["label", "label"], ["hand", "by hand"]]) {
       if (bands.at(name, t) !== null) found.push(`${text} ${NAMES[bands.at(name, t)]}`);
     }
     return found;

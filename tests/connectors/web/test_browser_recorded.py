@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import ViewportSize, expect
 
 from flows.cli.show import load
-from operators.batch import Labelled, Motion, Touch, Truth, concat, s
+from operators.batch import Labelled, Motion, Touch, concat, s
 from storage import Session
 from storage.hand_labels import read_hand_labels
 from tests.connectors.web.browsing import MOVE, ServedRecording, Watched, drag, shaking, sideways
@@ -25,7 +25,7 @@ SET = "(slider, to) => { slider.value = to; slider.dispatchEvent(new Event('inpu
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a dataset of 12 s: touch that shakes each other second, with labels, truth and motion."""
+    """Return a dataset of 12 s: touch that shakes each other second, with labels and motion."""
     touch = concat(Touch, shaking(SECONDS))
     time = touch.time + START + 5
     rows = len(time)
@@ -33,9 +33,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     unknown, flags = np.full((rows, 6), np.nan), np.ones(rows, np.bool_)
     values = touch.counts, touch.temperature, touch.valid
     samples = Labelled(time, *values, unknown, unknown, flags, 0.01 * label, label, finger=0)
-    truth = Truth(time, 0.02 * label, np.ones(rows), np.zeros((rows, 3)), finger=0)
     motion = Motion(time, time, np.full((rows, 6), 0.001), unknown)
-    batches = [Touch(time, *values, finger=0), samples, truth, motion]
+    batches = [Touch(time, *values, finger=0), samples, motion]
     root = tmp_path_factory.mktemp("recorded")
     with ThreadPoolExecutor(1) as pool:  # the browser has an event loop in this thread
         pool.submit(record, root, batches, part_rows=500).result()
@@ -68,7 +67,7 @@ def test_a_time_is_selected_by_slider_keys_click_and_event(watched: Watched, ser
     slider, readout = tab.get_by_role("slider", name="Time in the session"), tab.locator("#readout")
     tab.locator("#instant").evaluate(MOVE, 4500)
     expect(readout).to_contain_text("0:04.50 · 22:13:24.50 UTC · counts ")
-    for text in ("probability 0.", "TCP 1.7 mm/s", " · label slip", "truth slip"):
+    for text in ("probability 0.", "TCP 1.7 mm/s", " · label slip"):
         expect(readout).to_contain_text(text)
     expect(tab.locator("h1")).to_have_text("Fingertip 0Slip")
     expect(slider).to_have_attribute("aria-valuetext", "0:04.50, slip")

@@ -15,7 +15,7 @@ from connectors.web.session_page import SessionPage
 from connectors.web.web_server import page_server
 from flows.cli.show import load
 from operators import Debounce
-from operators.batch import Slips, Truth, Zeroed, ms, s
+from operators.batch import Slips, Zeroed, ms, s
 from operators.errors import InputError
 from operators.ports import Run
 from storage import Session
@@ -115,18 +115,11 @@ async def test_the_values_at_a_time_are_those_of_the_newest_row_of_the_last_seco
         assert (found["scores 0"]["t"], found["touch 0"]["t"]) == (time, [])
 
 
-async def test_labels_and_truth_are_runs_that_end_where_a_value_changes_or_a_pause_begins(keep: Keep) -> None:
+async def test_labels_are_runs_that_end_where_a_value_changes_or_a_pause_begins(keep: Keep) -> None:
     at = START + np.array([0, 10, 20, 30, 1000]) * ms
     labelled = replace(new_samples(at, finger=3), label=np.array([0, 0, 1, 1, 1], np.int8))
-    sliding = np.zeros(100)
-    sliding[20:40] = sliding[45:60] = 0.02  # the stick phase between them is part of the slip
-    time = START + np.arange(100) * 10 * ms
-    truth = Truth(time, sliding, sliding, np.zeros((100, 3)), finger=3)
-    contents: dict[str, Any] = {**(await keep(labelled, truth)).contents()}
-    assert contents["bands"] == {
-        "label 3": [[0, 20, 0], [20, 30, 1], [1000, 1000, 1]],
-        "truth 3": [[0, 200, 0], [200, 600, 1], [600, 990, 0]],
-    }
+    contents: dict[str, Any] = {**(await keep(labelled)).contents()}
+    assert contents["bands"] == {"label 3": [[0, 20, 0], [20, 30, 1], [1000, 1000, 1]]}
 
 
 async def test_a_session_too_long_for_memory_is_rejected(keep: Keep, monkeypatch: pytest.MonkeyPatch) -> None:
