@@ -18,34 +18,28 @@ def demo(
         str, typer.Option("--for", metavar="TIME", help="Stop after this time, such as 30s or 5min.")
     ] = "20s",
     out: Recordings = Path("recordings"),
-    mqtt: Annotated[
-        str | None, typer.Option(metavar="URL", help="Publish the slip events to this MQTT broker.")
-    ] = None,
     no_browser: NoBrowser = False,
 ) -> None:
     """Detect slip on a simulated rig; no hardware is needed.
 
     Records a labelled dataset, shows touch and slips on the live page, and compares the detected slips with
     the true ones. Exits as `slipflow run` does; `slipflow run demo` runs the same flow with all options of
-    `run`.
+    `run`, and publishes the slip events with --set broker=mqtt://localhost.
 
     Examples:
       slipflow demo --for 1min
-      slipflow demo --mqtt mqtt://localhost
     """
     from flows import demo as declared
     from flows.graph.quantity import parse_quantity
 
     begin_log()
     limit = int(parse_quantity("demo", "--for", duration, "ns"))
-    flow = declared.demo(str(out), mqtt)
+    flow = declared.demo(str(out))
     add_page(flow, browse=not no_browser)
     typer.echo(flow, err=True)
     done = execute(flow, limit)
     if not done.error:  # else it was stopped before it began: there is no session
         typer.echo("\n".join(report(out / "sessions" / done.session)))
-        if mqtt:
-            typer.echo(f"events published to {mqtt}; to follow them: slipflow watch {mqtt}")
     report_run(done)
 
 
