@@ -30,32 +30,22 @@ def calibrate(
     confidence: Annotated[
         str, typer.Option(metavar="SHARE", help="Probability that the rate is kept, from 80% to 99.9%.")
     ] = "95%",
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="Write a copy of the model here (default: change the card of MODEL; copy a shipped model"
-            " into this folder).",
-        ),
-    ] = None,
 ) -> None:
     """Choose settings of the debounce that keep a stated rate of false alarms.
 
     On data like the given recordings, false alarms are then at most as frequent as RATE, with the given
-    confidence. The model card records the settings; flows use them with their parameter `false_alarms`.
+    confidence. The model card records the settings; flows use them with their parameter `false_alarms`. A
+    shipped model is first copied into this folder.
 
     Without any false alarm, 1/min at 95% needs 3 static minutes, and 6/h needs 30. Record many sessions: each
     counts as one example of your conditions. The rate need not hold on other fingertips, motions or surfaces.
 
     Examples:
       slipflow calibrate mine.safetensors --on recordings --false-alarms 1/min --confidence 95%
-      slipflow calibrate tcn --on lab --on simulated --false-alarms 6/h -o quiet.safetensors
+      slipflow calibrate tcn --on lab --on simulated --false-alarms 6/h
     """
     from flows.graph.quantity import parse_quantity
     from flows.learn.alarm_calibration import calibrate_model
-    from flows.report.report_page import check_output_folder
     from operators import minute
     from operators.checks import check_above, check_between
 
@@ -63,7 +53,5 @@ def calibrate(
     share = parse_quantity("calibrate", "--confidence", confidence, "1")
     check_above("calibrate", "--false-alarms", rate, 0, "per minute")
     check_between("calibrate", "--confidence", share, 0.8, 0.999)
-    if out is not None:
-        check_output_folder(out.parent)
-    found = calibrate_model(model, on, round(rate, 9), share, out=out, log=note)
+    found = calibrate_model(model, on, round(rate, 9), share, log=note)
     typer.echo(found.report())

@@ -1,6 +1,5 @@
 """Models with debounce settings that keep a stated rate of false alarms with a stated confidence."""
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, starmap, takewhile
@@ -17,7 +16,7 @@ from flows.learn.training.trained_model import learned, provenance, repeated
 from flows.report.table import counted, show
 from operators import Debounce
 from operators.batch import Reals
-from operators.errors import InputError, ParameterError, SlipflowError
+from operators.errors import InputError, SlipflowError
 from operators.extras import software_version
 from storage import files, load_detector
 from storage.models import ALARMS, LIMIT, alarm_entries, load_card, save_card, shipped
@@ -233,28 +232,24 @@ def calibrate_model(
     paths: Sequence[Path],
     rate: float,
     confidence: float,
-    *,
-    out: Path | None = None,
     log: Callable[[str], object] = lambda _: None,
 ) -> CalibratedModel:
     """Choose the debounce of a model for a rate of false alarms, and write it into the model's card.
 
-    Recordings that the model was trained or chosen on are left out. Settings for other rates are kept.
+    A shipped model is first copied into the current folder. Recordings that the model was trained or chosen
+    on are left out. Settings for other rates are kept.
 
     Args:
         model: Name of a shipped model, or its file.
         paths: Labelled datasets or sessions.
         rate: False alarms per static minute.
         confidence: Probability that the rate is kept in recordings like these.
-        out: File for a copy of the model, with its card; None: change the card of the model's file, or
-            copy a shipped model into the current folder.
         log: Receives progress messages.
 
     Raises:
         InputError: if the model has no file, the recordings cannot be read, are all left out or repeat each
             other, or the copy of a shipped model exists.
         FingertipError: if the fingertip of the recordings differs from that of the model.
-        ParameterError: if the suffix of `out` differs from that of the model.
         TooLittleDataError: if there are too few static minutes.
         OSError: if the model cannot be written.
     """
@@ -262,12 +257,10 @@ def calibrate_model(
     detector = load_detector(model)
     if source.suffix != ".safetensors":
         raise InputError(model, "has no weights, so it has no card to write settings into")
-    path = out or (Path(source.name) if shipped(model) else source)
-    if path.suffix != source.suffix:
-        raise ParameterError("calibrate", "out", str(path), f"a path that ends in {source.suffix}")
-    if out is None and path != source and path.exists():
-        raise InputError(str(path), "exists: calibrate it, or give another file with -o")
-    card, weights = load_card(source), files.read(source, LIMIT)
+    path = Path(source.name) if shipped(model) else source
+    if path != source and path.exists():
+        raise InputError(str(path), "exists: calibrate it, or delete it")
+    card = load_card(source)
     entries = alarm_entries(model, card)
     recordings = _unseen(model, card, paths, log)
     if not recordings:
@@ -278,15 +271,9 @@ def calibrate_model(
     trials = try_settings(recordings, [one.probabilities(detector) for one in recordings])
     found = calibrated(trials, rate, confidence)
     entries[rate] = _entry(found, provenance(recordings))
-    card |= {
-        "file": path.name,
-        "sha256": hashlib.sha256(weights).hexdigest(),
-        ALARMS: [entries[each] for each in sorted(entries)],
-    }
-    if path.absolute() != source.absolute():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        files.put(path, weights)
-    save_card(path, card)
+    if path != source:
+        files.put(path, files.read(source, LIMIT))
+    save_card(path, {**card, ALARMS: [entries[each] for each in sorted(entries)]})
     return CalibratedModel(path, found)
 
 
