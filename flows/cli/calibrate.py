@@ -53,5 +53,5 @@ def calibrate(
     share = parse_quantity("calibrate", "--confidence", confidence, "1")
     check_above("calibrate", "--false-alarms", rate, 0, "per minute")
     check_between("calibrate", "--confidence", share, 0.8, 0.999)
-    found = calibrate_model(model, on, round(rate, 9), share, log=note)
-    typer.echo(found.report())
+    path, found = calibrate_model(model, on, round(rate, 9), share, note)
+    typer.echo(found.report(path))

@@ -67,6 +67,22 @@ class Calibrated:
     bound: float  # upper confidence limit of its rate, per static minute
     measured: EventMetrics  # on the calibration data
 
+    def report(self, path: Path) -> str:
+        """Return the result, which the card of the model at `path` has, as text."""
+        rule, events, rate = self.debounce, self.measured, f"{self.rate:g}/min"
+        slips = f"{events.missed:.1f} % of slips missed" if events.slips else "no slips"
+        if len(events.delays):
+            slips += f", median delay {np.median(events.delays):.0f} ms"
+        return (
+            f"threshold {rule.threshold:g}; {counted(rule.consecutive, 'decision')} to start,"
+            f" {rule.release} to end: at most {self.bound:.2g} false alarms per static minute with"
+            f" {100 * self.confidence:g} % confidence ({rate} wanted)\n"
+            f"measured: {counted(events.false_alarms, 'false alarm')} in {events.minutes:.1f} static minutes;"
+            f" {slips}\n"
+            f"wrote {path} and its card; use it with"
+            f" `slipflow run live --set detector={path} --set false_alarms={rate}`"
+        )
+
 
 def try_settings(recordings: Sequence[LabelledRecording], probabilities: Sequence[Reals]) -> SettingTrials:
     """Debounce the probabilities (n,) of recordings with every setting.
@@ -202,38 +218,13 @@ class TooLittleDataError(SlipflowError):
         )
 
 
-@dataclass(frozen=True, slots=True)
-class CalibratedModel:
-    """Model on disk with settings for a rate of false alarms."""
-
-    path: Path
-    found: Calibrated
-
-    def report(self) -> str:
-        """Return the result as text."""
-        found, events, rate = self.found, self.found.measured, f"{self.found.rate:g}/min"
-        rule = found.debounce
-        slips = f"{events.missed:.1f} % of slips missed" if events.slips else "no slips"
-        if len(events.delays):
-            slips += f", median delay {np.median(events.delays):.0f} ms"
-        return (
-            f"threshold {rule.threshold:g}; {counted(rule.consecutive, 'decision')} to start,"
-            f" {rule.release} to end: at most {found.bound:.2g} false alarms per static minute with"
-            f" {100 * found.confidence:g} % confidence ({rate} wanted)\n"
-            f"measured: {counted(events.false_alarms, 'false alarm')} in {events.minutes:.1f} static minutes;"
-            f" {slips}\n"
-            f"wrote {self.path} and its card; use it with"
-            f" `slipflow run live --set detector={self.path} --set false_alarms={rate}`"
-        )
-
-
 def calibrate_model(
     model: str,
     paths: Sequence[Path],
     rate: float,
     confidence: float,
     log: Callable[[str], object] = lambda _: None,
-) -> CalibratedModel:
+) -> tuple[Path, Calibrated]:
     """Choose the debounce of a model for a rate of false alarms, and write it into the model's card.
 
     A shipped model is first copied into the current folder. Recordings that the model was trained or chosen
@@ -245,6 +236,9 @@ def calibrate_model(
         rate: False alarms per static minute.
         confidence: Probability that the rate is kept in recordings like these.
         log: Receives progress messages.
+
+    Returns:
+        File of the model, and the setting.
 
     Raises:
         InputError: if the model has no file, the recordings cannot be read, are all left out or repeat each
@@ -262,7 +256,11 @@ def calibrate_model(
         raise InputError(str(path), "exists: calibrate it, or delete it")
     card = load_card(source)
     entries = alarm_entries(model, card)
-    recordings = _unseen(model, card, paths, log)
+    log(f"reading {', '.join(map(str, paths))}")
+    recordings = load(*paths)
+    if known := learned(card, recordings):
+        log(f"left out {counted(len(known), 'recording')}: {model} has learned from them")
+        recordings = [each for each in recordings if each not in known]
     if not recordings:
         raise InputError("calibrate", "no recordings are left: give some that the model has not learned from")
     if twice := repeated(recordings, [f"recording {number}" for number in range(1, len(recordings) + 1)]):
@@ -274,18 +272,7 @@ def calibrate_model(
     if path != source:
         files.put(path, files.read(source, LIMIT))
     save_card(path, {**card, ALARMS: [entries[each] for each in sorted(entries)]})
-    return CalibratedModel(path, found)
-
-
-def _unseen(
-    model: str, card: Mapping[str, Any], paths: Sequence[Path], log: Callable[[str], object]
-) -> list[LabelledRecording]:
-    """Read the recordings that a model has not learned from."""
-    log(f"reading {', '.join(map(str, paths))}")
-    recordings = load(*paths)
-    if known := learned(card, recordings):
-        log(f"left out {counted(len(known), 'recording')}: {model} has learned from them")
-    return [each for each in recordings if each not in known]
+    return path, found
 
 
 def _entry(found: Calibrated, data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

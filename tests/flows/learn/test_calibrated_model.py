@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flows.graph.loading import load as load_flow
-from flows.learn.alarm_calibration import Calibrated, CalibratedModel, TooLittleDataError, calibrate_model
+from flows.learn.alarm_calibration import Calibrated, TooLittleDataError, calibrate_model
 from flows.learn.event_metrics import EventMetrics
 from flows.learn.labelled_recordings import load
 from flows.learn.training.trained_model import learned, provenance
@@ -26,7 +26,7 @@ def model(folder: Path) -> Path:
 def test_the_card_records_setting_rate_confidence_and_data(tiny: Path, tmp_path: Path) -> None:
     path = model(tmp_path)
     before = load_card(path)
-    done = calibrate_model(str(path), [tiny], 12.0, 0.9)
+    _, found = calibrate_model(str(path), [tiny], 12.0, 0.9)
     card = load_card(path)
     assert {name: value for name, value in card.items() if name not in {"alarms", "check"}} == {
         name: value for name, value in before.items() if name != "check"
@@ -36,21 +36,21 @@ def test_the_card_records_setting_rate_confidence_and_data(tiny: Path, tmp_path:
     assert 0 < entry["bound_per_min"] <= 12
     assert entry["measured"]["static_minutes"] > 0.5
     assert entry["data"] == provenance(load(tiny))
-    assert f"{done.found.debounce.threshold:g}" in done.report()
+    assert f"{found.debounce.threshold:g}" in found.report(path)
     assert load_detector(path).name == "tcn"
 
 
 def test_a_flow_uses_the_setting_of_its_rate_and_refuses_others(tiny: Path, tmp_path: Path) -> None:
     path = model(tmp_path)
     for rate in (12.0, 30.0):
-        done = calibrate_model(str(path), [tiny], rate, 0.95)
-        assert load_debounce(path, rate / minute) == done.found.debounce
-    again = calibrate_model(str(path), [tiny], 12.0, 0.8)
+        _, found = calibrate_model(str(path), [tiny], rate, 0.95)
+        assert load_debounce(path, rate / minute) == found.debounce
+    _, again = calibrate_model(str(path), [tiny], 12.0, 0.8)
     assert [each["false_alarms_per_min"] for each in load_card(path)["alarms"]] == [12.0, 30.0]
-    assert load_debounce(path, 12 / minute) == again.found.debounce
+    assert load_debounce(path, 12 / minute) == again.debounce
     flow = load_flow("live").flow({"detector": str(path), "false_alarms": "12/min"})
     [debounce] = [node.part for node in flow.nodes if isinstance(node.part, Debounce)]
-    assert debounce == again.found.debounce
+    assert debounce == again.debounce
     with pytest.raises(
         InputError, match=r"calibrated for 12/min, 30/min only; run `slipflow calibrate .* 1/min`"
     ):
@@ -71,7 +71,7 @@ def test_a_damaged_entry_is_reported(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("missed", "text"), [(0, "; no slips\n"), (2, "; 100.0 % of slips missed\n")])
 def test_the_report_has_no_delay_without_detected_slips(missed: int, text: str) -> None:
     events = EventMetrics(np.empty(0), missed, false_alarms=0, repeats=0, minutes=9.0)
-    assert text in CalibratedModel(Path("m"), Calibrated(1.0, 0.95, Debounce(), 0.5, events)).report()
+    assert text in Calibrated(1.0, 0.95, Debounce(), 0.5, events).report(Path("m"))
 
 
 def test_recordings_that_the_model_has_learned_from_are_left_out(tiny: Path, tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_a_shipped_model_is_copied_and_a_failure_writes_nothing(
     with pytest.raises(InputError, match="has no weights"):
         calibrate_model("psd", [tiny], 12.0, 0.95)
     assert list(tmp_path.iterdir()) == []
-    assert calibrate_model("tcn", [tiny], 12.0, 0.95).path == Path("tcn.safetensors")
+    assert calibrate_model("tcn", [tiny], 12.0, 0.95)[0] == Path("tcn.safetensors")
     with pytest.raises(InputError, match="exists: calibrate it, or delete it"):
         calibrate_model("tcn", [tiny], 20.0, 0.95)
     assert load_detector("tcn.safetensors").name == "tcn"
