@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import SLIDING, SLIDING_SPAN, episode
-from flows.report.table import counted
 from operators import Align, Debounce, Label, Score, Zero, ms, s
 from operators.batch import (
     EVERY,
@@ -112,7 +111,6 @@ class LabelledRecording:
     valid: Flags | None = None  # (n, cells) False where a cell has no reading; None: all valid
     sliding: Codes | None = None  # (n,) label by true sliding of the contact in simulation
     strokes: Strokes | None = None  # None: unknown
-    by_hand: int = 0  # samples that a person labelled
     name: str = ""
     split: str = ""  # train, validation or test
     group: str = ""  # surface or object, by which recordings can be split; empty: unknown
@@ -156,7 +154,7 @@ class LabelledRecording:
         return slip
 
     def piece(self, rows: slice) -> Self:
-        """Return consecutive samples of the recording, without its strokes and labels by hand."""
+        """Return consecutive samples of the recording, without its strokes."""
         return replace(
             self,
             counts=self.counts[rows],
@@ -164,7 +162,6 @@ class LabelledRecording:
             valid=None if self.valid is None else self.valid[rows],
             sliding=None if self.sliding is None else self.sliding[rows],
             strokes=None,
-            by_hand=0,
             time=None if self.time is None else self.time[rows],
         )
 
@@ -278,14 +275,6 @@ def _read(dataset: Path) -> list[LabelledRecording]:
     return recordings
 
 
-def hand_label_summary(recordings: Iterable[LabelledRecording]) -> str:
-    """Return a line with the labels by hand in recordings; empty if there are none."""
-    marked = [each for each in recordings if each.by_hand]
-    samples, total = sum(each.by_hand for each in marked), sum(map(len, marked))
-    text = f"labels by hand: {samples:,} of {total:,} samples of {counted(len(marked), 'recording')}"
-    return text if marked else ""
-
-
 def by_split(recordings: Sequence[LabelledRecording]) -> dict[str, list[LabelledRecording]]:
     """Group recordings by split, in the order of `SPLITS`; omit recordings without a split."""
     return {split: [each for each in recordings if each.split == split] for split in SPLITS}
@@ -321,14 +310,13 @@ def _of_session(session: Session, finger: int, hand: HandLabels) -> LabelledReco
     label = samples.label if isinstance(samples, Labelled) else np.full(len(samples), UNKNOWN, np.int8)
     episodes = concat(Episodes, list(session.read(Episodes, EVERY)))
     truth = concat(Truth, list(session.read(Truth, finger)))
-    label, rows = hand.replace(label, samples.time, finger)
+    label, _ = hand.replace(label, samples.time, finger)
     return LabelledRecording(
         forward_fill(samples.counts, samples.valid),
         label,
         samples.valid,
         _sliding(samples, truth) if len(truth) else None,
         _strokes(episodes, samples.time),
-        int(rows.sum()),
         session.name,
         str(session.about.get("split") or ""),
         str(session.about.get("group") or ""),

@@ -20,7 +20,7 @@ from flows.learn.evaluation.methods import (
     trained_methods,
 )
 from flows.learn.event_metrics import DECISION, PAUSE
-from flows.learn.labelled_recordings import LabelledRecording, common_fingertip, hand_label_summary, load
+from flows.learn.labelled_recordings import LabelledRecording, common_fingertip, load
 from flows.learn.measures import CONFUSION, SHARES, judged
 from flows.learn.training.trained_model import learned, repeated
 from flows.report.results import estimates, joined
@@ -110,7 +110,6 @@ def evaluate(
         if silent := labelled - {*answers.filter(method=each.name)["recording"]}:
             many = counted(len(silent), "recording")
             notes.append(f"{each.name} gave no probability at any labelled sample of {many}")
-    notes += filter(None, [hand_label_summary(chosen)])
     if speed:
         detectors = {name: method.detector for name, method in found.methods.items()}
         found = replace(found, speeds=speed_results(detectors, chosen, span=speed))

@@ -117,14 +117,12 @@ def provenance(recordings: Sequence[LabelledRecording]) -> list[dict[str, Any]]:
     found = list[dict[str, Any]]()
     for dataset, group in groupby(recordings, key=lambda each: each.dataset):
         parts = list(group)
-        by_hand = sum(each.by_hand for each in parts)
         found.append(
             {
                 "dataset": Path(dataset).resolve().name,
                 "recordings": dict(Counter(each.split for each in parts)),
                 "samples": sum(map(len, parts)),
                 "learned": " ".join(each.content for each in parts if each.split != "test"),
-                **({"hand_labels": by_hand} if by_hand else {}),  # samples
             }
         )
     return found

@@ -14,7 +14,6 @@ from flows.learn.labelled_recordings import (
     LabelledRecording,
     by_split,
     common_fingertip,
-    hand_label_summary,
     load,
 )
 from flows.learn.training.recipe import REAL_TOUCH, PaperRecipe, Recipe
@@ -116,7 +115,7 @@ def train(
         recipe: Settings of the training, of a tcn or of one of the paper's networks.
         start: Name of a shipped tcn, or its file, to train further by a `Recipe`; None: random weights.
         progress: Called after each step; the check is None at most of them.
-        log: Receives the number of labels by hand, before the training.
+        log: Receives a line if the recordings are few.
 
     Raises:
         InputError: if the train extra is missing, a dataset cannot be read or a recording is in two splits;
@@ -138,8 +137,6 @@ def train(
     recordings = load(*datasets)
     if twice := repeated(recordings, [each.split for each in recordings]):
         raise InputError("train", f"{twice[0]}: give each recording once")
-    if by_hand := hand_label_summary(recordings):
-        log(by_hand)
     fingertip = common_fingertip(recordings)
     about: dict[str, Any] = {
         "detector": recipe.network if isinstance(recipe, PaperRecipe) else Tcn.name,

@@ -18,7 +18,6 @@ from flows.learn.labelled_recordings import (
     TURNS,
     LabelledRecording,
     common_fingertip,
-    hand_label_summary,
     load,
     simulated_recording,
 )
@@ -116,15 +115,10 @@ def test_labels_by_hand_replace_those_by_arm_speed_and_not_the_truth(tiny: Path,
     assert set(first.label[300:400].tolist()) == {1}
     assert set(first.label[400:410].tolist()) == {-1}
     assert first.label[410:].tolist() == before[0].label[410:].tolist()
-    assert first.by_hand == 110
     assert first.sliding is not None
     assert before[0].sliding is not None
     assert first.sliding.tolist() == before[0].sliding.tolist()
-    assert not any(each.by_hand for each in others)
-    [origin] = provenance(before)
-    assert provenance([first, *others]) == [{**origin, "hand_labels": 110}], "the content is the same"
-    line = hand_label_summary([first, *others])
-    assert line == f"labels by hand: 110 of {len(first):,} samples of 1 recording"
+    assert provenance([first, *others]) == provenance(before), "the content is the same"
 
 
 def test_a_session_without_an_arm_has_the_labels_by_hand_only(tmp_path: Path) -> None:
@@ -170,4 +164,3 @@ def test_a_piece_has_the_same_samples_of_every_column(tiny: Path) -> None:
     assert piece.counts.tolist() == whole.counts[100:300].tolist()
     assert (piece.sliding is None) == (whole.sliding is None)
     assert piece.strokes is None
-    assert not piece.by_hand
