@@ -12,30 +12,25 @@ from time import process_time_ns
 from typing import Final
 
 import numpy as np
-import polars as pl
 
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.report.results import Statistic, joined, result_rows
-from flows.report.results import median as median_of
 from flows.run.executor import one_thread
 from operators import Score
 from operators.batch import Counts, Zeroed
 from operators.detectors import Detector
-
-SPEED: Final[Mapping[str, Statistic]] = {"us/sample": median_of("us/sample")}
 
 _CHUNK: Final = 50  # samples between two looks at the clock
 _TIMED: Final = 500  # samples of a recording that the timing repeats
 Step = Callable[[int], object]
 
 
-def speed_results(
+def sample_times(
     detectors: Mapping[str, Detector],
     recordings: Sequence[LabelledRecording],
     *,
     rounds: int = 15,
     span: float = 0.02,
-) -> pl.DataFrame:
+) -> dict[str, float]:
     """Time detectors on a recording of one fingertip, on one thread.
 
     As in a live run, `Score` processes one sample at a time.
@@ -47,16 +42,13 @@ def speed_results(
         span: Approximate CPU time of each turn of timing, s.
 
     Returns:
-        Rows of the results table: CPU time of a sample, us.
+        CPU time of a sample by detector, us.
     """
-    longest = max(recordings, key=len)
+    counts = max(recordings, key=len).counts[-_TIMED:]
     with one_thread():
-        steps = {name: _step(detector, longest.counts[-_TIMED:]) for name, detector in detectors.items()}
+        steps = {name: _step(detector, counts) for name, detector in detectors.items()}
         turns = [{name: _timed(step, span) for name, step in steps.items()} for _ in range(rounds)]
-    return joined(
-        result_rows({"us/sample": median(turn[name] for turn in turns)}, method=name, recording=longest.name)
-        for name in steps
-    )
+    return {name: median(turn[name] for turn in turns) for name in steps}
 
 
 def _step(detector: Detector, counts: Counts) -> Step:

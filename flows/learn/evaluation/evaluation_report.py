@@ -1,6 +1,5 @@
 """Report of an evaluation: tables and figures that are group-bys of its results."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Final
@@ -8,7 +7,6 @@ from typing import Final
 import polars as pl
 
 from flows.learn.evaluation import evaluation_figures as figures
-from flows.learn.evaluation.detector_speed import SPEED
 from flows.learn.evaluation.evaluation_study import Evaluation
 from flows.learn.evaluation.published import PAPER_ROWS, SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.learn.evaluation.stress_study import FIELDS, NOMINAL, condition_name, every_condition
@@ -66,7 +64,7 @@ def evaluation_report(of: Evaluation, command: str) -> Report:
     sections = [_detectors(of)]
     if of.results["fold"].n_unique() > 1:
         sections.append(_groups(of))
-    if not of.speeds.is_empty():
+    if of.speeds:
         sections.append(_speed(of))
     sections.append(_samples(of))
     if of.results["fold"].n_unique() <= 1:  # else a method may have another debounce in each fold
@@ -127,9 +125,11 @@ def _samples(of: Evaluation) -> Section:
     """Return the section with Table I."""
     shown = {name: each for name, each in {**SHARES, **SAMPLES}.items() if name not in BALANCED}
     table = estimate_table(estimates(of.results, shown, draws=0), DECIMALS)
-    paper = {name: TABLE_1.get(PAPER_ROWS.get(name, "")) for name in of.methods}
-    tables = [_with_column(table, 2, "paper's %", paper) if of.as_paper else table]
-    return Section("samples", "Samples: Table I", SAMPLES_TEXT, tables, folded=True)
+    if of.as_paper:
+        head = [*table.head[:2], "paper's %", *table.head[2:]]
+        rows = [[*row[:2], TABLE_1.get(PAPER_ROWS.get(str(row[0]), "")), *row[2:]] for row in table.rows]
+        table = replace(table, head=head, rows=rows)
+    return Section("samples", "Samples: Table I", SAMPLES_TEXT, [table], folded=True)
 
 
 def _events(of: Evaluation) -> Section:
@@ -153,16 +153,15 @@ def _groups(of: Evaluation) -> Section:
 
 def _speed(of: Evaluation) -> Section:
     """Return the section with the speed of each method, from fast to slow."""
-    speeds = estimates(of.speeds, SPEED, draws=0)
-    found = pl.concat([speeds, estimates(of.results, {"accuracy %": SHARES["accuracy %"]}, draws=0)])
-    points = found.pivot("statistic", index="method", values="value").sort("us/sample")
+    accuracy = estimates(of.results, {"accuracy %": SHARES["accuracy %"]}, draws=0)
+    accuracy = accuracy.select("method", pl.col("value").alias("accuracy %"))
+    speeds = pl.DataFrame({"method": [*of.speeds], "us/sample": [*of.speeds.values()]})
+    points = speeds.join(accuracy, on="method", how="left").sort("us/sample")
     front = figures.pareto_front(points)
-    order = points["method"].to_list()
-    table = estimate_table(found, DECIMALS)
-    table = replace(table, rows=sorted(table.rows, key=lambda row: order.index(row[0])))
-    tables = [_with_column(table, len(table.head), "front", dict.fromkeys(front, "yes"))]
+    rows = [[*row, "yes" if row[0] in front else None] for row in points.rows()]
+    table = Table([*points.columns, "front"], rows, decimals=DECIMALS)
     draw = partial(figures.chart, points, front) if front else None  # nothing may be judged
-    return Section("chart", "Speed against accuracy", SPEED_TEXT, tables, draw)
+    return Section("chart", "Speed against accuracy", SPEED_TEXT, [table], draw)
 
 
 def _sliding(of: Evaluation) -> Section:
@@ -187,12 +186,6 @@ def _motions(of: Evaluation) -> list[Section]:
     paper = Table(head, [*rows, ["any", *TABLE_3_ANY, None]], "the paper's TCN, real recordings")
     title = "Motions and surfaces: Table III"
     return [Section("motions", title, MOTIONS_TEXT, [ours, paper], folded=True)]
-
-
-def _with_column(table: Table, place: int, name: str, values: Mapping[str, Value]) -> Table:
-    """Return a table of methods with one more column, whose values are known for some of them."""
-    rows = [[*row[:place], values.get(str(row[0])), *row[place:]] for row in table.rows]
-    return Table([*table.head[:place], name, *table.head[place:]], rows, decimals=table.decimals)
 
 
 def _by_level(found: pl.DataFrame, columns: str) -> Table:

@@ -9,7 +9,7 @@ from typing import Final, TypeAlias
 import numpy as np
 import polars as pl
 
-from flows.learn.evaluation.detector_speed import speed_results
+from flows.learn.evaluation.detector_speed import sample_times
 from flows.learn.evaluation.folds import EVERY, Fold, group_folds, split_fold
 from flows.learn.evaluation.methods import (
     BASELINES,
@@ -46,7 +46,7 @@ class Evaluation:
     missing: Mapping[str, str]  # reasons by method
     notes: Sequence[str] = ()  # what a reader must know to judge the numbers
     label: pl.DataFrame = field(default_factory=joined)  # the arm-speed label as a method
-    speeds: pl.DataFrame = field(default_factory=joined)  # CPU time of each method
+    speeds: Mapping[str, float] = field(default_factory=dict[str, float])  # CPU us per sample by method
     as_paper: bool = False  # simulated by the paper's plan: its numbers compare
 
     @property
@@ -112,7 +112,7 @@ def evaluate(
             notes.append(f"{each.name} gave no probability at any labelled sample of {many}")
     if speed:
         detectors = {name: method.detector for name, method in found.methods.items()}
-        found = replace(found, speeds=speed_results(detectors, chosen, span=speed))
+        found = replace(found, speeds=sample_times(detectors, chosen, span=speed))
     true = all(each.sliding is not None for each in chosen)
     label = joined(map(_label_results, chosen) if true else ())
     return replace(found, notes=notes, label=label, as_paper=all(each.plan == "paper" for each in chosen))
