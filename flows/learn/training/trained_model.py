@@ -15,7 +15,6 @@ from flows.learn.measures import BALANCED, SHARES, judged
 from flows.report.results import estimates, joined
 from operators import Debounce
 from operators.detectors import Detector
-from operators.errors import InputError
 from storage import save_weights
 from storage.models import save_card
 
@@ -85,15 +84,8 @@ def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) ->
 
 
 def learned(card: Mapping[str, Any], recordings: Iterable[LabelledRecording]) -> list[LabelledRecording]:
-    """Return the recordings that a model was trained or chosen on, as its card states, under any name.
-
-    Raises:
-        InputError: if the card of an earlier version does not state them.
-    """
-    if any("learned" not in each for each in card.get("data", ())):
-        reason = "its card does not state the recordings that it learned from: train it again"
-        raise InputError(str(card.get("file")), reason)
-    stated = {content for each in card.get("data", ()) for content in str(each["learned"]).split()}
+    """Return the recordings that a model was trained or chosen on, as its card states, under any name."""
+    stated = {content for each in card.get("data", ()) for content in str(each.get("learned", "")).split()}
     return [each for each in recordings if each.content in stated]
 
 
