@@ -1,10 +1,10 @@
 """Models with debounce settings that keep a stated rate of false alarms with a stated confidence."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, starmap, takewhile
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -268,27 +268,16 @@ def calibrate_model(
     log(f"scoring {counted(len(recordings), 'recording')}")
     trials = try_settings(recordings, [one.probabilities(detector) for one in recordings])
     found = calibrated(trials, rate, confidence)
-    entries[rate] = _entry(found, provenance(recordings))
+    entries[rate] = {
+        "false_alarms_per_min": rate,
+        "confidence": confidence,
+        "bound_per_min": round(found.bound, 4),
+        "debounce": debounce_settings(found.debounce),
+        "static_minutes": round(found.measured.minutes, 3),
+        "data": provenance(recordings),
+        "software": f"slipflow {software_version()}",
+    }
     if path != source:
         files.put(path, files.read(source, LIMIT))
     save_card(path, {**card, ALARMS: [entries[each] for each in sorted(entries)]})
     return path, found
-
-
-def _entry(found: Calibrated, data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    events = found.measured
-    return {
-        "false_alarms_per_min": found.rate,
-        "confidence": found.confidence,
-        "bound_per_min": round(found.bound, 4),
-        "debounce": debounce_settings(found.debounce),
-        "measured": {
-            "false_alarms": events.false_alarms,
-            "static_minutes": round(events.minutes, 3),
-            "slips": events.slips,
-            "missed_slips": events.missed_slips,
-            "onset_ms": float(np.median(events.delays)) if len(events.delays) else None,
-        },
-        "data": list(data),
-        "software": f"slipflow {software_version()}",
-    }

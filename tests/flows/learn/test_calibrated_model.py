@@ -34,7 +34,7 @@ def test_the_card_records_setting_rate_confidence_and_data(tiny: Path, tmp_path:
     [entry] = card["alarms"]
     assert (entry["false_alarms_per_min"], entry["confidence"]) == (12.0, 0.9)
     assert 0 < entry["bound_per_min"] <= 12
-    assert entry["measured"]["static_minutes"] > 0.5
+    assert entry["static_minutes"] > 0.5
     assert entry["data"] == provenance(load(tiny))
     assert f"{found.debounce.threshold:g}" in found.report(path)
     assert load_detector(path).name == "tcn"
