@@ -3,7 +3,7 @@
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -48,12 +48,9 @@ class Model:
         scores: Mapping[str, Mapping[str, float | None]] = self.card["scores"]
         lines = [f"wrote {self.path} and its card"]
         for part, each in scores.items():
-            interval = ""
-            if "balanced_low" in each:
-                interval = f" ({each['balanced_low']:.1f} to {each['balanced_high']:.1f} over sessions)"
             known = [(name, each[name]) for name in ("accuracy", "balanced") if each[name] is not None]
             shown = ", ".join(f"{name} {value:.2f} %" for name, value in known)
-            lines.append(f"{part}: {shown}{interval}")
+            lines.append(f"{part}: {shown}")
         before, after = (scores.get(part, {}).get("balanced") for part in ("before", "after"))
         if before is not None and after is not None and after <= before:
             lines.append("it is NOT better than the model that it was trained from: keep that one")
@@ -64,23 +61,10 @@ def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) ->
     """Return accuracy, balanced accuracy and F1 of a detector on the labelled samples, %.
 
     None: a class is missing.
-    ``balanced_low`` and ``balanced_high`` are the 95 % interval over sessions, of which three are needed.
     """
-    results = [
-        judged(
-            replace(each, name=" ".join(each.session), strokes=None),
-            each.probabilities(detector),
-            Debounce(),
-            method="",
-        )
-        for each in recordings
-    ]
-    found = dict[str, float | None]()
-    for row in estimates(joined(results), _SCORES).iter_rows(named=True):
-        found[row["statistic"]] = row["value"]
-        if row["statistic"] == "balanced" and row["low"] is not None:
-            found |= {"balanced_low": row["low"], "balanced_high": row["high"]}
-    return found
+    results = (judged(each, each.probabilities(detector), Debounce(), method="") for each in recordings)
+    found = estimates(joined(results), _SCORES, draws=0)
+    return dict(found.select("statistic", "value").rows())
 
 
 def learned(card: Mapping[str, Any], recordings: Iterable[LabelledRecording]) -> list[LabelledRecording]:
