@@ -104,7 +104,7 @@ class TrueSlips:
     found: Times  # (k, 2) start and end of each slip that must be detected
     tolerated: Times  # (j, 2) start and end of all stretches in which onsets are not false
     static: int  # ns outside of all these, after the warm-up
-    judged: int  # regular samples after the warm-up
+    judged: int  # ns after the warm-up
     places: NDArray[np.int64]  # (n,) of the samples among regular ones
     sampling: Sampling
 
@@ -131,7 +131,7 @@ class TrueSlips:
             (slips[required] - last) * period,
             (tolerated - last) * period,
             int(static[warm_up:].sum()) * period,
-            len(label) - warm_up,
+            (len(label) - warm_up) * period,
             places,
             sampling,
         )

@@ -80,10 +80,6 @@ class Sampling:
         """Return the number of samples in a time (ns), at least 1."""
         return max(round(time * self.rate / s), 1)
 
-    def minutes(self, samples: int) -> float:
-        """Return the duration of a number of samples."""
-        return samples * self.period / (60 * s)
-
     def scaled(self, usual: int) -> int:
         """Return the number of samples that last as long as `usual` ones at 100 Hz; below 100 Hz `usual`."""
         return round(usual * max(self.rate / _RATE, 1))

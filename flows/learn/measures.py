@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from flows.learn.event_metrics import DECISION, EventMetrics, TrueSlips, match_onsets, onsets
 from flows.learn.labelled_recordings import LabelledRecording, Sampling
 from flows.report.results import Statistic, area, joined, median, of_sums, ratio, result_rows, share
-from operators import Debounce, ms
+from operators import Debounce, minute, ms
 from operators.batch import UNKNOWN, Codes, Flags, Reals, Times
 
 FAR: Final = 100.0  # ms from any change of the label
@@ -99,7 +99,7 @@ def judged(
     found: _Found = {
         **_events(true, raised),
         "events": len(raised),
-        "minutes": recording.sampling.minutes(true.judged),
+        "minutes": true.judged / minute,
         "lead ms": leads / ms,
     }
     if not condition:

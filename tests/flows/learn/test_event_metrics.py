@@ -61,7 +61,7 @@ def test_lost_samples_count_as_time() -> None:
     true = slips(codes, 7 + kept * PERIOD)
     begin = kept[WARM_UP]
     assert true.found.tolist() == seconds((150, 249))
-    assert true.judged == 400 - begin
+    assert true.judged == (400 - begin) * PERIOD
     assert true.static == (400 - begin - 100 - 1) * PERIOD  # one sample was lost where the label changes
     assert EventMetrics.of([probability], [true], TWICE).delays.tolist() == [20]
 
