@@ -17,6 +17,8 @@ from connectors.files.raw_table import RawTable, check_size
 from connectors.files.roles import unit_in
 from operators.errors import InputError
 
+IN_PYTHON: Final = "read it in Python and pass a DataFrame to import_frame, see docs/how-to/import.md"
+
 _HEAD: Final = 1 << 20  # bytes in which the names and the first rows must be
 _LINES: Final = 60  # that decide
 _FEW, _FIELDS = 20, 20_000  # lines at least; fields at most
@@ -101,7 +103,9 @@ def _utf8(content: bytes, where: str, notes: list[str]) -> bytes:
         content = content.decode("cp1252", "replace").encode()
         notes.append("Windows-1252")
     if b"\0" in content:
-        raise InputError(where, "is not a CSV file: it has bytes of zero; save it as text in UTF-8")
+        raise InputError(
+            where, f"is no text, it has bytes of zero: decompress it, save it as CSV in UTF-8, or {IN_PYTHON}"
+        )
     content = content.removeprefix(codecs.BOM_UTF8)
     return content.replace(b"\r", b"\n") if b"\n" not in content else content
 

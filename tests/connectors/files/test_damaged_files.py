@@ -1,7 +1,6 @@
 """Damaged files, and files of other formats."""
 
 import os
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -54,32 +53,30 @@ def test_a_damaged_file_is_read_or_refused_in_one_line(
     assert "\n" not in refusal(path)
 
 
-PYTHON = "read it in Python ({}) and pass a DataFrame to import_frame, see docs/how-to/import.md"
+PYTHON = "read it in Python and pass a DataFrame to import_frame, see docs/how-to/import.md"
+ARRAYS = f"{PYTHON} (arrays.py)"
 
 
 @pytest.mark.parametrize(
     ("first", "name", "remedy"),
     [
-        (b"\x89MCAP0\r\n", "an MCAP file", PYTHON.format("mcap_json.py, or bag.py for ROS messages")),
-        (b"SQLite format 3\0", "a ROS 2 bag or another SQLite file", PYTHON.format("bag.py")),
-        (b"#ROSBAG V2.0\n", "a ROS 1 bag", PYTHON.format("bag.py")),
-        (b"PK\x03\x04" + bytes(26) + b"time.npy", "an NPZ file", PYTHON.format("arrays.py")),
-        (b"PK\x03\x04" + bytes(26) + b"xl/workbook.xml", "an Excel file", "save it as CSV"),
-        (b"PK\x03\x04", "a ZIP file", "unpack it"),
-        (b"MATLAB 5.0 MAT-file", "a MATLAB file", PYTHON.format("arrays.py")),
-        (b"\x89HDF\r\n\x1a\n", "an HDF5 file", PYTHON.format("arrays.py")),
-        (b"\x93NUMPY\x01\0", "an array of numpy", PYTHON.format("arrays.py")),
-        (b"MATLAB 7.3", "a MATLAB file of version 7.3, which is HDF5", PYTHON.format("arrays.py")),
-        (b'{"t": [0, 1]}', "a JSON file", PYTHON.format("polars.read_json")),
-        (b"\x80\x04\x95", "a pickle of Python", PYTHON.format("pandas.read_pickle, if you trust its origin")),
-        (b'[{"t": 0, "p": 1}]', "a JSON file", PYTHON.format("polars.read_json")),
-        (b"[[0, 1], [2, 3]]", "a JSON file", PYTHON.format("polars.read_json")),
-        (b"ARROW1\0\0", "a Feather or Arrow file", PYTHON.format("polars.read_ipc")),
+        (b"\x89MCAP0\r\n", "an MCAP file", f"{PYTHON} (mcap_json.py, or bag.py for ROS messages)"),
+        (b"SQLite format 3\0", "a ROS 2 bag or another SQLite file", f"{PYTHON} (bag.py)"),
+        (b"#ROSBAG V2.0\n", "a ROS 1 bag", f"{PYTHON} (bag.py)"),
+        (b"PK\x03\x04" + bytes(26) + b"time.npy", "an NPZ file", ARRAYS),
+        (b"PK\x03\x04", "an Excel file or an archive", "save it as CSV, or unpack it"),
+        (b"MATLAB 5.0 MAT-file", "a MATLAB file", ARRAYS),
+        (b"\x89HDF\r\n\x1a\n", "an HDF5 file", ARRAYS),
+        (b"\x93NUMPY\x01\0", "an array of numpy", ARRAYS),
+        (b'{\n "t": [0, 1]}', "a JSON file", f"{PYTHON} (polars.read_json)"),
+        (b"[[0, 1], [2, 3]]", "a JSON file", f"{PYTHON} (polars.read_json)"),
         (b"%PDF-1.7", "an XML, HTML or PDF file", "save its table as CSV"),
         (b"<html>", "an XML, HTML or PDF file", "save its table as CSV"),
-        (b"TDSm\x0e\0", "a TDMS or PX4 file", "save its table as CSV"),
-        (b"\x28\xb5\x2f\xfd", "compressed", "decompress it, or use gzip"),
-        (zlib.compress(b"t,p0\n0,1\n"), "compressed", "decompress it, or use gzip"),
+        (
+            b"\xfd7zXZ",
+            "no text, it has bytes of zero",
+            f"decompress it, save it as CSV in UTF-8, or {PYTHON}",
+        ),
     ],
 )
 def test_another_format_is_named_with_the_remedy(
@@ -90,7 +87,7 @@ def test_another_format_is_named_with_the_remedy(
     assert refusal(path) == f"{path}: is {name}: {remedy}"
 
 
-@pytest.mark.parametrize("name", ["x^2", "[0]", "{0}", "<TIME>", "TDSm", "BZh", "ARROW1", "Rar!"])
+@pytest.mark.parametrize("name", ["[0]", "{0}", "<TIME>", "PK", "MATLAB"])
 @pytest.mark.parametrize("sign", [",", ";", "\t"])
 def test_a_column_may_be_named_like_another_format(name: str, sign: str, tmp_path: Path) -> None:
     path = tmp_path / "trace.csv"

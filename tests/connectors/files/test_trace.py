@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
+from connectors.files.text_table import IN_PYTHON
 from operators.batch import EVERY, Motion, Touch, Zeroed, concat
 from operators.errors import InputError
 from tests.connectors.files.conftest import Write
@@ -104,6 +105,7 @@ COLUMNS = "state counts=...; (2) " + NO_TIME + "; try --map time=column1,counts=
 T_S1 = "the columns are t s1"
 TWICE = "column s1 cannot be used: it occurs twice"
 NO_ROWS = "has no rows of numbers below a line that names the columns"
+CONVERT = f"decompress it, save it as CSV in UTF-8, or {IN_PYTHON}"
 NUMBER = "must be a number, without signs of thousands, or empty"
 
 
@@ -166,7 +168,7 @@ def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, co
         ("", "", ": is empty: its first line must name the columns"),
         ("sep=;", "", f": {NO_ROWS}"),
         ("t,s1", "", f": {NO_ROWS}"),
-        ("t,s1|\0\0,1", "", ": is not a CSV file: it has bytes of zero; save it as text in UTF-8"),
+        ("t,s1|\0\0,1", "", f": is no text, it has bytes of zero: {CONVERT}"),
         ("t,s1,s2|1,2,3|2,3", "", ": the last line has fewer fields than line 2: it is cut off, delete it"),
         (
             "|".join(f"{name},{'1,' * 50}1" for name in ("time", "p0", "p1")),
