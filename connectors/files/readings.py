@@ -74,8 +74,8 @@ def readings_of(table: RawTable, columns: ColumnMap) -> tuple[ColumnMap, Counts,
 def _check_signal(table: RawTable, readings: Reals, columns: ColumnMap, *, inherited: bool) -> None:
     """Find cells that the concluded resolution makes constant, or almost constant.
 
-    That is a problem if rare readings far from the others make the steps large, or if those of earlier files
-    leave nothing; a cell that is pressed much less than the others is a warning.
+    That is a problem if most cells are: a corrupt reading makes the steps large, or earlier files have larger
+    ones. Few cells, which may be pressed less than the others, are a warning.
     """
     names, step, lost = columns.cell_names, columns.resolution or 1.0, list[int]()
     low, middle, high = (_quantiles(readings, share) for share in (0.01, 0.5, 0.99))
@@ -86,21 +86,15 @@ def _check_signal(table: RawTable, readings: Reals, columns: ColumnMap, *, inher
             lost.append(cell)
     if not lost:
         return
-    steps = f"steps of {step:g} {columns.unit}{', as in earlier files,' if inherited else ''}"
-    constant = f"{steps} make {listed([names[each] for each in lost])} almost constant"
-    far = 10 * (high - low)
-    rare = (readings < low - far) | (readings > high + far)
-    usual = resolution_of(np.where(rare, np.nan, readings), offset=not columns.zeroed)
-    if inherited and len(lost) == len(names):
-        remedy = "import this file first, or into another dataset"
-        table.add_problem(f"{constant}: {remedy}, or state resolution={step:g}")
-    elif not inherited and usual < step / 5:
-        row, cell = divmod(int(np.nanargmax(np.abs(readings - middle))), len(names))
-        farthest = repr(float(readings[row, cell])).removesuffix(".0")
-        remedy = f"state missing={farthest} if that is no reading, or resolution={step:g}"
-        table.add_problem(f"{constant}; {table.place_of(row, names[cell])} is {farthest}: {remedy}")
-    else:
-        table.warn(f"{constant}: import cells of other units or sizes apart, or state resolution=")
+    row, cell = divmod(int(np.nanargmax(np.abs(readings - middle))), len(names))
+    farthest, earlier = repr(float(readings[row, cell])).removesuffix(".0"), ", as in earlier files,"
+    remedy = f"state missing={farthest} if {table.place_of(row, names[cell])} is no reading"
+    remedy = "import this file first, or into another dataset" if inherited else remedy
+    add = table.add_problem if 2 * len(lost) > len(names) else table.warn
+    add(
+        f"steps of {step:g} {columns.unit}{earlier if inherited else ''} make"
+        f" {listed([names[each] for each in lost])} almost constant: {remedy}, or state resolution={step:g}"
+    )
 
 
 def _warn_of_implausible(table: RawTable, readings: Reals, columns: ColumnMap) -> None:
