@@ -15,7 +15,7 @@ from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from flows.graph.testing import TestSink, TestSource
 from flows.lab.importing import AttachLabels, TraceImport, import_files, import_frame
-from flows.learn.labelled_recordings import common_fingertip, load
+from flows.learn.labelled_recordings import load
 from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import session_of
 from operators import Zero
@@ -110,26 +110,19 @@ def test_labels_and_motion_of_a_file_are_both_kept(tmp_path: Path) -> None:
 
 def test_a_file_with_counts_only_gives_touch_only(tmp_path: Path) -> None:
     others = ",".join(f"other_{letter}" for letter in "abcdefghijklmnopqrstuv")
-    path = write(tmp_path, f"{CELLS},{others}", [counts(k) + ",7" * 22 for k in range(9)])
+    lines = [counts(k) + ",7" * 22 for k in range(9)]
+    path = write(tmp_path, f"{CELLS},{others}", lines, "lab 3, night.csv")
     trace_import = read(path, tmp_path / "out", ColumnMap(rate=50))
     session = imported(trace_import)
+    source: Any = session.about["sources"]
+    assert source["touch"].pop("fingertip")["rate_hz"] == 50
+    assert source["touch"] == trace_import.trace.describe()
+    assert (session.name, session.about["complete"]) == ("lab-3-night", True)
     shown = " ".join(f"other_{letter}" for letter in "abcdefghijklmnopqrst")
     assert f"  not used {shown} and 2 more\n" in trace_import.report()
     assert session.tables == ("touch",)
     assert rows(session, Touch).time.tolist() == [k * 20 * ms for k in range(9)]
     assert "no labels and no motion: no samples" in trace_import.report()
-
-
-def test_the_session_describes_its_file(tmp_path: Path) -> None:
-    path = write(tmp_path, f"stamp,{CELLS},x", [f"{k},{counts(0)},0" for k in range(5)], "lab 3, night.csv")
-    columns = ColumnMap.parse("label=x,units.time=ms")
-    trace_import = read(path, tmp_path / "out", columns)
-    session = imported(trace_import)
-    assert session.name == "lab-3-night"
-    source: Any = session.about["sources"]
-    assert source["touch"].pop("fingertip")["rate_hz"] == 1000
-    assert source["touch"] == trace_import.trace.describe()
-    assert session.about["complete"] is True
 
 
 def test_an_imported_session_replays_like_its_trace_and_trains(tmp_path: Path) -> None:
@@ -277,19 +270,6 @@ def test_what_is_assumed_is_printed(unit: str, cells: int, tmp_path: Path) -> No
     direction = "1023 counts, falling" if (unit, cells) == ("count", 6) else "the direction of the training"
     assert f"  range    unknown: detectors assume {direction}; state range=LOW:HIGH\n" in report
     assert "  readings from 16777216 to 16777515 " in report
-
-
-def test_counts_of_one_sensor_are_trained_together(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    paths = list[Path]()
-    for base in (500, 40_000, 40_101):  # counts of 16 bits
-        cells = {f"p{cell}": base + rng.integers(0, 99, 300) for cell in range(2)}
-        paths.append(tmp_path / f"{base}.parquet")
-        pl.DataFrame({"t": np.arange(300) / 100, **cells, "slip": [0, 1] * 150}).write_parquet(paths[-1])
-    assert len([*import_files(paths, tmp_path / "out", ColumnMap.parse("range=0:65535"))]) == 3
-    recordings = load(tmp_path / "out")
-    assert len(recordings) == 3
-    assert common_fingertip(recordings).resolution == 1
 
 
 @given(cuts=st.lists(st.integers(0, 30), max_size=8))
