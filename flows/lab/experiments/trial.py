@@ -14,7 +14,7 @@ from connectors.sim.objects import OBJECTS, Object
 from connectors.sim.scene import Parameters, Travel, Vibration
 from connectors.sim.simulated_rig import SLIDING
 from operators import Score, Zero
-from operators.batch import BAROMETERS, Commands, Counts, Flags, Reals, Touch, Zeroed, s
+from operators.batch import BAROMETERS, Counts, Flags, Reals, Touch, Zeroed, s
 from operators.detectors import Detector
 from operators.grip import GripController
 
@@ -210,28 +210,6 @@ class Trace:
         return 1000 * float(speed[rows] @ np.diff(self.t, prepend=0.0)[rows])
 
 
-class Actuator:
-    """The gripper, which executes commands on a simulated grasp.
-
-    Args:
-        grasp: Grasp that it presses.
-        delay: Time (s) added to its latency.
-    """
-
-    def __init__(self, grasp: Grasp, delay: float = 0.0) -> None:
-        self._grasp, self._delay = grasp, delay
-        self._target = 0.0  # N
-
-    def execute(self, commands: Commands) -> None:
-        """Execute each command at its time; a command without force changes nothing."""
-        for time, force in zip(commands.time.tolist(), commands.force.tolist(), strict=True):
-            if math.isnan(force):
-                continue
-            if (target := quantize(force)) != self._target:
-                self._target = target
-                self._grasp.press(target, effect(time / s, self._delay))
-
-
 def effect(instant: float, delay: float = 0.0) -> float:
     """Return the time (s) at which the command for a sample taken at `instant` takes effect.
 
@@ -255,12 +233,17 @@ def control_trial(
     instants = _instants(conditions, max(SCANS, detector.length), seconds)
     stamps, probability = np.rint(instants * s).astype(np.int64), np.full(len(instants), np.nan)
     zero, score = Zero(scans=int(np.sum(instants < BASELINE))), Score(detector)
-    actuator = Actuator(grasp, conditions.delay)
+    target = 0.0  # N, of the gripper
 
     def react(touch: Touch) -> None:
+        nonlocal target
         scores = score.push(zero.push(touch))
         probability[np.searchsorted(stamps, scores.time)] = scores.probability
-        actuator.execute(rule.push(scores))
+        commands = rule.push(scores)
+        for time, force in zip(commands.time.tolist(), commands.force.tolist(), strict=True):
+            if (step := quantize(force)) != target:
+                target = step
+                grasp.press(target, effect(time / s, conditions.delay))
 
     return replace(simulate(grasp, instants, react), probability=probability)
 
