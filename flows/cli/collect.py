@@ -11,7 +11,7 @@ from flows.cli.terminal import begin_log, note
 from flows.report.table import counted
 
 if TYPE_CHECKING:
-    from connectors.ur.ur_state import Point, Pose
+    from connectors.ur.ur_state import Point
     from flows.lab.collection.collector import Collector
     from flows.lab.collection.stroke_plan import CollectionPlan, PlannedPath
 
@@ -63,48 +63,45 @@ def collect(
     begin_log()
     chosen = load_plan(plan)
     if dry_run:
-        typer.echo(_path_text(asyncio.run(_planned(chosen, robot, virtual=virtual))))
+        if robot is None and not virtual:
+            note("the arm's pose is unknown: the path starts above the surface, by default the origin")
+        typer.echo(_path_text(asyncio.run(_planned(chosen, None if virtual else robot))))
         return
     if not virtual:
         from operators.extras import require_extra
 
         require_extra("ur", "commanding a UR arm")
-    _report(asyncio.run(_collect(chosen, robot, bus, parse_rows(rows), out, virtual=virtual)))
+    _report(asyncio.run(_collect(chosen, None if virtual else robot, bus, parse_rows(rows), out)))
 
 
-async def _planned(plan: "CollectionPlan", robot: str | None, *, virtual: bool) -> "PlannedPath":
-    """Return the path from the arm's pose, if known."""
+async def _planned(plan: "CollectionPlan", robot: str | None) -> "PlannedPath":
+    """Return the path from the arm's pose; `robot` None: that of the virtual arm."""
     from connectors.sim.simulated_arm import start_pose
     from connectors.ur.ur_state import read_state
     from flows.lab.collection.stroke_plan import PlannedPath
     from flows.run.clocks import LoopClock
 
-    if virtual:
+    if robot is None:
         return PlannedPath.of(plan, DOWN, start_pose(plan.surfaces[0].pose or DOWN))
-    if robot is not None:
-        here: Pose = (await read_state(LoopClock(), robot)).pose
-        return PlannedPath.of(plan, here, here)
-    note("without --robot or --virtual the arm's pose is unknown: the path starts above the surface")
-    if any(each.pose is None for each in plan.surfaces):
-        note("and the surface is placed at the origin of the base frame")
-    return PlannedPath.of(plan, DOWN)
+    here = (await read_state(LoopClock(), robot)).pose
+    return PlannedPath.of(plan, here, here)
 
 
 async def _collect(
-    plan: "CollectionPlan", robot: str | None, bus: str, rows: tuple[int, ...], out: Path, *, virtual: bool
+    plan: "CollectionPlan", robot: str | None, bus: str, rows: tuple[int, ...], out: Path
 ) -> "Collector":
+    """Collect with a robot, or with the virtual arm if it is None."""
     from connectors import TakkTile, UrMotion
     from connectors.ur.ur_arm import UrArm
     from flows.lab.collection.collector import Collector, virtual_arm
     from flows.run.clocks import LoopClock
 
-    path, clock = await _planned(plan, robot, virtual=virtual), LoopClock()
-    if virtual:
+    path, clock = await _planned(plan, robot), LoopClock()
+    if robot is None:
         note("the first start compiles the physics, which takes some seconds")
         moved = await virtual_arm(path, clock, fingers=tuple(range(len(rows))))
         collector = Collector(path, moved, moved.fingertips, moved.motion, out, clock, note)
     else:
-        assert robot
         limits, touch = plan.limits, TakkTile(int(bus) if bus.isdigit() else bus, rows)
         arm = UrArm(robot, path.bounds, clock, watchdog=limits.watchdog, path_tolerance=limits.margin)
         collector = Collector(path, arm, touch, UrMotion(robot), out, clock, note)
@@ -129,20 +126,18 @@ def _report(result: "Collector") -> None:
 
 
 def _path_text(path: "PlannedPath") -> str:
-    """Return duration and bounds of the sessions of a plan, its workspace, and how it presses."""
-    from flows.lab.collection.arm_path import Extent
-
-    rows = [f"{'session':28} {'strokes':>7} {'time':>9}   {'x mm':15} {'y mm':15} {'z mm':15} split"]
-    for each in path.series:
-        extent = Extent.of(each.steps, each.begin.poses[-1])
-        size = f"{each.name:28} {len(each.strokes):7} {extent.seconds:7.1f} s"
-        rows.append(f"{size}   {_spans(extent.low, extent.high)} {each.split}")
-    whole, strokes = path.extent, sum(len(each.strokes) for each in path.series)
-    minutes = f"{whole.seconds / 60:.1f} min"
-    rows.append(f"{'total':28} {strokes:7} {minutes:>8}   {_spans(whole.low, whole.high)}".rstrip())
-    rows.append(f"{'workspace':47} {_spans(path.bounds.low, path.bounds.high)}".rstrip())
-    return "\n".join([*rows, f"pressed {1000 * path.plan.path.depth:g} mm after first contact"])
+    """Return size, duration and bounds of a path, its workspace, and how it presses."""
+    strokes, minutes = sum(len(each.strokes) for each in path.series), path.seconds / 60
+    return "\n".join(
+        [
+            f"{counted(strokes, 'stroke')} in {counted(len(path.series), 'session')}, {minutes:.1f} min",
+            f"path: {_spans(path.low, path.high)}",
+            f"workspace: {_spans(path.bounds.low, path.bounds.high)}",
+            f"pressed {1000 * path.plan.path.depth:g} mm after first contact",
+        ]
+    )
 
 
 def _spans(low: "Point", high: "Point") -> str:
-    return " ".join(f"{f'{round(1000 * a)} .. {round(1000 * b)}':15}" for a, b in zip(low, high, strict=True))
+    spans = zip("xyz", low, high, strict=True)
+    return ", ".join(f"{axis} {round(1000 * a)} to {round(1000 * b)} mm" for axis, a, b in spans)

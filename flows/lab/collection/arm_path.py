@@ -148,24 +148,15 @@ class Turn:
 Step: TypeAlias = Line | Turn | float  # a number: standstill, s
 
 
-@dataclass(frozen=True, slots=True)
-class Extent:
-    """Bounding box and duration of a path."""
-
-    seconds: float
-    low: Point
-    high: Point
-
-    @classmethod
-    def of(cls, steps: Iterable[Step], start: Pose) -> "Extent":
-        """Return the extent of steps from a pose."""
-        seconds, points, pose = 0.0, [start[:3]], start
-        for step in steps:
-            if isinstance(step, Line | Turn):
-                seconds += step.seconds(pose)
-                pose = step.end(pose)
-                points += [each[:3] for each in (step.poses if isinstance(step, Line) else (pose,))]
-            else:
-                seconds += step
-        low, high = (tuple(map(each, zip(*points, strict=True))) for each in (min, max))
-        return cls(seconds, (low[0], low[1], low[2]), (high[0], high[1], high[2]))
+def extent(steps: Iterable[Step], start: Pose) -> tuple[float, Point, Point]:
+    """Return the duration (s) of steps from a pose, and the corners of their bounding box (m)."""
+    seconds, points, pose = 0.0, [start[:3]], start
+    for step in steps:
+        if isinstance(step, Line | Turn):
+            seconds += step.seconds(pose)
+            pose = step.end(pose)
+            points += [each[:3] for each in (step.poses if isinstance(step, Line) else (pose,))]
+        else:
+            seconds += step
+    low, high = (tuple(map(each, zip(*points, strict=True))) for each in (min, max))
+    return seconds, (low[0], low[1], low[2]), (high[0], high[1], high[2])

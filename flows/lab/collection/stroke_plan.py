@@ -17,9 +17,9 @@ from typing import Annotated, Final, TypeAlias
 import numpy as np
 
 from connectors.ur.control_process import WATCHDOG
-from connectors.ur.ur_state import Bounds, Pose, offset_pose
+from connectors.ur.ur_state import Bounds, Point, Pose, offset_pose
 from flows.graph.quantity import Duration, Force, Length, Speed
-from flows.lab.collection.arm_path import MAX_POSE, Extent, Line, Step, Surface, Turn
+from flows.lab.collection.arm_path import MAX_POSE, Line, Step, Surface, Turn, extent
 from flows.learn.labelled_recordings import PAPER_LABEL, TURNS
 from operators.batch import s
 from operators.checks import check_at_least, check_between
@@ -261,35 +261,36 @@ class CollectionPlan:
 
 @dataclass(frozen=True, slots=True)
 class PlannedPath:
-    """Path of a plan, and the bounds within which the arm may move."""
+    """Path of a plan from the arm's pose, and the bounds within which the arm may move."""
 
     plan: CollectionPlan
     series: tuple[StrokeSeries, ...]
-    extent: Extent  # from the arm's pose if it is known
+    seconds: float
+    low: Point  # m, of the bounding box of the path
+    high: Point  # m
     bounds: Bounds  # workspace as planned, or the path with its margin
 
     @classmethod
-    def of(cls, plan: CollectionPlan, surface: Pose, here: Pose | None = None) -> "PlannedPath":
+    def of(cls, plan: CollectionPlan, surface: Pose, here: Pose) -> "PlannedPath":
         """Return the path of a plan.
 
         Args:
             plan: The plan.
             surface: Pose of a surface without one in the plan.
-            here: Pose of the arm; None: above the first surface.
+            here: Pose of the arm.
 
         Raises:
             ParameterError: if a surface is too steep, or the path leaves the planned workspace.
         """
         series, limits = tuple(plan.series(surface)), plan.limits
-        steps = chain.from_iterable(each.steps for each in series)
-        path = Extent.of(steps, here or series[0].begin.poses[-1])
+        seconds, low, high = extent(chain.from_iterable(each.steps for each in series), here)
         if limits.workspace is None:
-            a, b, c = (each - limits.margin for each in path.low)
-            d, e, f = (each + limits.margin for each in path.high)
-            return cls(plan, series, path, Bounds((a, b, c), (d, e, f), limits.force))
-        low, high = limits.workspace[:3], limits.workspace[3:]
-        for axis, a, b, c, d in zip("xyz", low, path.low, path.high, high, strict=True):
+            a, b, c = (each - limits.margin for each in low)
+            d, e, f = (each + limits.margin for each in high)
+            return cls(plan, series, seconds, low, high, Bounds((a, b, c), (d, e, f), limits.force))
+        lowest, highest = limits.workspace[:3], limits.workspace[3:]
+        for axis, a, b, c, d in zip("xyz", lowest, low, high, highest, strict=True):
             if not a <= b <= c <= d:
                 must_be = f"around the path, which leads from {b:.4f} to {c:.4f} m along {axis}"
-                raise ParameterError("collect", "limits.workspace", [*low, *high], must_be)
-        return cls(plan, series, path, Bounds(low, high, limits.force))
+                raise ParameterError("collect", "limits.workspace", limits.workspace, must_be)
+        return cls(plan, series, seconds, low, high, Bounds(lowest, highest, limits.force))

@@ -343,7 +343,7 @@ def test_operators_are_compiled_before_the_arm_is_commanded(
 def test_a_path_outside_the_workspace_is_refused() -> None:
     down: Pose = (0.0, 0.0, 0.0, math.pi, 0.0, 0.0)
 
-    def planned(limits: Limits, here: Pose | None = None) -> PlannedPath:
+    def planned(limits: Limits, here: Pose = down) -> PlannedPath:
         return PlannedPath.of(replace(QUICK, seed=0, count=4, limits=limits), down, here)
 
     with pytest.raises(ParameterError, match=r"from -0\.0200 to 0\.0200 m along x"):

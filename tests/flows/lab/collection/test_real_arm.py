@@ -43,7 +43,7 @@ async def test_a_real_arm_is_driven_and_recorded(tmp_path: Path) -> None:
     controller = UrController(TOUCHING, host=HOST, version=CB3, now=LoopClock().now)
     with served(EmulatedI2cBus(Skin(controller.box.drive)), PATH):
         async with asyncio.timeout(PATIENCE), controller:
-            collected = await _collect(plan, HOST, PATH, (0,), tmp_path, virtual=False)
+            collected = await _collect(plan, HOST, PATH, (0,), tmp_path)
     assert (collected.strokes, collected.error) == (STROKES, "")
     session = Session.open(tmp_path / "sessions" / collected.summaries[0].session)
     assert concat(Touch, list(session.read(Touch, 0))).valid.all()

@@ -58,7 +58,7 @@ def test_a_stroke_slides_through_the_middle_pressed_by_its_depth(place: Pose) ->
 
 
 def test_the_bounds_and_the_duration_of_a_plan_are_those_of_its_path() -> None:
-    reach = PlannedPath.of(STROKES, PLACE).extent
+    reach = PlannedPath.of(STROKES, PLACE, PLACE)
     np.testing.assert_allclose(reach.low, (0.37, -0.03, 0.1 - STROKES.path.depth), atol=1e-12)
     np.testing.assert_allclose(reach.high, (0.43, 0.03, 0.1 + STROKES.path.clearance), atol=1e-12)
     contact = 16 * (2 * STROKES.path.rest + 0.6 + 0.1 / 0.5)
