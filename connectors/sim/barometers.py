@@ -131,23 +131,6 @@ class Barometers:
         Returns:
             Raw ADC counts of pressure (k, 6), of temperature (k, 6), and validity (k, 6).
         """
-        counts = self._counts(t, tractions, aged)
-        valid = np.ones((len(t), BAROMETERS), np.bool_)
-        valid[:, : self._faults.dead] = False
-        temperature = self._temperature + 0.3 * self._temperature_noise.standard_normal(valid.shape)
-        return counts, np.rint(temperature).astype(np.int16), valid
-
-    def _disturbed(self, shape: tuple[int, ...], probability: float) -> Reals:
-        """Draw glitches (k, 6), counts: some in most cells, more often up than down, each in two samples."""
-        random, rows = self._noise, shape[0]
-        size: Reals = GLITCH * np.exp(0.8 * random.standard_normal(rows))  # (k,) counts
-        size *= np.where(random.random(rows) < 0.7, 1.0, -1.0)
-        size[random.random(rows) >= probability] = 0
-        size[1:] += size[:-1] / 2
-        return np.asarray(size[:, None] * random.uniform(0.3, 1.3, shape))
-
-    def _counts(self, t: Reals, tractions: Reals, aged: float) -> Counts:
-        """Return raw ADC counts (k, 6) at instants (k,) (s), `aged` (s) apart."""
         p, faults, passed = self._p, self._faults, 1 - np.exp(-aged / DECADES)
         counts = respond(tractions, self._influence, (p.sensitivity, p.relaxation), passed, self._late)
         counts *= faults.gain
@@ -158,5 +141,18 @@ class Barometers:
             counts += p.noise * self._noise.standard_normal(counts.shape)
         if p.glitches:
             counts += self._disturbed(counts.shape, p.glitches * aged)
+        temperature = self._temperature + 0.3 * self._temperature_noise.standard_normal(counts.shape)
+        valid = np.ones(counts.shape, np.bool_)
+        valid[:, : faults.dead] = False
         counts[:, : faults.dead] = 0.0
-        return np.clip(np.rint(counts), 0, CEILING).astype(np.int16)
+        counts = np.clip(np.rint(counts), 0, CEILING)
+        return counts.astype(np.int16), np.rint(temperature).astype(np.int16), valid
+
+    def _disturbed(self, shape: tuple[int, ...], probability: float) -> Reals:
+        """Draw glitches (k, 6), counts: some in most cells, more often up than down, each in two samples."""
+        random, rows = self._noise, shape[0]
+        size: Reals = GLITCH * np.exp(0.8 * random.standard_normal(rows))  # (k,) counts
+        size *= np.where(random.random(rows) < 0.7, 1.0, -1.0)
+        size[random.random(rows) >= probability] = 0
+        size[1:] += size[:-1] / 2
+        return np.asarray(size[:, None] * random.uniform(0.3, 1.3, shape))
