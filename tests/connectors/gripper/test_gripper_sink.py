@@ -124,52 +124,36 @@ async def test_requests_are_paced_and_the_newest_force_is_sent() -> None:
         assert at.forces[-1] == register_force(249)
 
 
-async def test_rows_without_a_force_have_no_effect() -> None:
-    async with lab() as at, at.gripping(force=15.0) as gripper:
-        await gripper.write(commands(20.0, 30.0, nan, nan))
-        await gripper.write(commands(nan, nan))
-        await gripper.write(commands())
-        await asyncio.sleep(5)
-        assert [each.force for each in at.writes] == [None, 85]
-
-
-async def test_forces_outside_those_of_the_gripper_are_clipped() -> None:
+async def test_forces_are_clipped_and_rows_without_one_have_no_effect() -> None:
     async with lab() as at, at.gripping() as gripper:
-        for force in (5.0, 61.0, 30.0, -inf, inf):
-            await gripper.write(commands(force))
+        for force in (5.0, 61.0, nan, 30.0, -inf, inf):
+            await gripper.write(commands(force, nan))
+            await gripper.write(commands())
             await asyncio.sleep(0.1)
         assert [each.force for each in at.writes[1:]] == [0, 255, 85, 0, 255]
 
 
-async def test_a_silent_gripper_fails_and_later_gets_the_newest_force() -> None:
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("silent", r"modbus://.*/2: does not answer .*: is 2 its unit"),
+        ("refusing", "refuses: device failure"),
+    ],
+)
+async def test_a_gripper_that_fails_gets_the_newest_force_later(fault: str, reason: str) -> None:
     async with lab() as at, at.gripping(force=15.0) as gripper:
         await asyncio.sleep(5)
-        at.server.silent = True
+        setattr(at.server, fault, True)
         await asyncio.sleep(1.2)
         for force in (20.0, 25.0, 30.0):
-            with pytest.raises(EndpointError, match=r"modbus://.*/2: does not answer .*: is 2 its unit"):
+            with pytest.raises(EndpointError, match=reason):
                 await gripper.write(commands(force))
         assert gripper.status is None
-        at.server.silent = False
+        setattr(at.server, fault, False)
         await asyncio.sleep(4)
         assert [each.force for each in at.writes[2:]] == [85]
         assert at.forces == [15.0, register_force(85)]
         await gripper.write(commands(30.0))
-
-
-async def test_a_refused_force_is_sent_once_the_gripper_accepts_it() -> None:
-    async with lab() as at, at.gripping() as gripper:
-        at.server.refusing = True
-        await asyncio.sleep(0.2)
-        batch = commands(20.0, 99.0)
-        for _ in range(3):
-            with pytest.raises(EndpointError, match="refuses: device failure"):
-                await gripper.write(batch)
-        at.server.refusing = False
-        await asyncio.sleep(4)
-        await gripper.write(batch)
-        await asyncio.sleep(4)
-        assert at.forces == [60.0]
 
 
 async def test_a_fault_is_reset_at_the_start_of_a_run_only() -> None:
