@@ -26,18 +26,6 @@ def test_the_angle_of_a_turn_includes_its_ramps(time: float, angle: float, secon
     assert end[:3] == START[:3]
 
 
-@pytest.mark.parametrize("place", [START, (0.1, 0.2, 0.3, 0.5, -1.0, 0.7)])
-def test_the_fingertip_stays_on_a_sphere(place: Pose) -> None:
-    surface = Surface("sphere", 0.05, place)
-    centre = np.array(Surface("plane", pose=place).at(0.0, 0.0, 0.05)[:3])
-    for x, y in ((0.0, 0.0), (0.02, -0.01), (-0.03, 0.0)):
-        for depth in (0.0, 0.002):
-            *here, a, b, c = surface.at(x, y, depth)
-            inward = np.array(Surface("plane", pose=place).at(0.0, 0.0, depth)[:3]) - place[:3]
-            assert math.dist(np.array(here) - inward, centre) == pytest.approx(0.05)
-            assert (a, b, c) == place[3:]
-
-
 def test_a_path_is_straight_along_a_cylinder_and_bent_across() -> None:
     surface = Surface("cylinder_x")
     assert surface.waypoints(0.03, 0.0) == [1.0]

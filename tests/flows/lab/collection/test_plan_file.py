@@ -69,18 +69,10 @@ def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
         ("[[surfaces]]\n[[surfaces]]", "each with a different pose"),
         ("speeds = [", "is not valid TOML"),
         ("[path]\nacceleration = inf", "path.acceleration is inf, must be from 0.01 to 5 m/s2"),
-        ("[path]\nrotation_acceleration = inf", "path.rotation_acceleration is inf, must be from 0.01"),
         ("[path]\nrotation_speed = nan", "path.rotation_speed is nan, must be from 0.25 to 3 rad/s"),
-        ("[path]\ntravel_speed = '900m/s'", "path.travel_speed is 900.0, must be from 0.0001 to 1 m/s"),
         ("[path]\nclearance = '2mm'", "path.clearance is 0.002, must be from 0.003 to 0.5 m"),
-        *(
-            (f"{key} = 1_000_000_000_000", f"{key} is 1000000000000, must be from")
-            for key in ("repeats", "rotations", "rounds")
-        ),
-        ("[path]\nbaseline = '900d'", "path.baseline is 77760000.0, must be from 0.01 to 600 s"),
-        ("[limits]\nwatchdog = inf", "limits.watchdog is inf, must be from 0.1 to 10 Hz"),
+        ("rounds = 1_000_000_000_000", "rounds is 1000000000000, must be from 1 to 100"),
         ("[limits]\nsensor_timeout = '1d'", "limits.sensor_timeout is 86400.0, must be from 0.05 to 5 s"),
-        ("[limits]\nforce = '9999N'", "limits.force is 9999.0, must be from 1 to 250 N"),
         ("[limits]\nworkspace = [-inf, -1, -1, 1, 1, 1]", "limits.workspace is -inf, must be from -10 to"),
         ("[[surfaces]]\npose = [nan, 0, 0, 3, 0, 0]", "surfaces[0].pose is nan, must be from -10 to 10"),
     ],
