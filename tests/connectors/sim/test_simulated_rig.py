@@ -8,22 +8,23 @@ from connectors.sim.scene import Move, Scene
 from connectors.sim.simulated_rig import SimulatedRig, true_slips
 from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
-from operators.batch import MOTIONS, SURFACES, Batch, Episodes, Touch, Truth, concat, ms
+from operators.batch import MOTIONS, SURFACES, Episodes, Touch, Truth, concat, ms
 from operators.ports import Source
 
 ORIGIN = 1_700_000_000_000_000_000
 PLAN = (Move("hold", 0.5, force=0.0), Move("hold", 0.5, force=2.0), Move("translation", 0.9, 0.3, 45.0, 0.1))
 
 
-def gather(*sources: Source[Any], start: int = ORIGIN) -> list[Any]:
-    """Return all rows of each source, in a run that begins at `start` (ns)."""
+def annotations(rig: SimulatedRig, start: int = ORIGIN) -> tuple[Touch, Episodes, Truth]:
+    """Return touch, episodes and truth of a run that begins at `start` (ns)."""
 
-    async def every(source: Source[Batch], clock: LoopClock) -> Batch:
+    async def every(source: Source[Any], clock: LoopClock) -> Any:
         return concat(source.kind, [batch async for batch in source.batches(clock)])
 
-    async def main() -> list[Any]:
-        clock = LoopClock(start)
-        return await asyncio.gather(*(every(each, clock) for each in sources))
+    async def main() -> tuple[Touch, Episodes, Truth]:
+        clock, sources = LoopClock(start), (rig.touch, rig.episodes, rig.truth)
+        touch, episodes, truth = await asyncio.gather(*(every(each, clock) for each in sources))
+        return touch, episodes, truth
 
     return run_virtually(main())
 
@@ -34,12 +35,6 @@ def test_a_second_run_repeats_the_first_from_its_own_origin() -> None:
     np.testing.assert_array_equal(first[0].counts, second[0].counts)
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one.time + 500, other.time)
-
-
-def annotations(rig: SimulatedRig, start: int = ORIGIN) -> tuple[Touch, Episodes, Truth]:
-    """Return touch, episodes and truth of a run."""
-    touch, episodes, truth = gather(rig.touch, rig.episodes, rig.truth, start=start)
-    return touch, episodes, truth
 
 
 def test_each_move_is_an_episode() -> None:
