@@ -128,7 +128,6 @@ class Tap:
 class GraspState:
     """True state of a grasp at one instant: for tests and summaries, never for a detector."""
 
-    instant: float  # s since the run began
     slide_x: float  # m, of the object along the pad since it was gripped, without the rubber's deflection
     slide_y: float  # m; negative when the object slips down
     turned: float  # rad, about the pad's normal, with the rubber's deflection
@@ -212,9 +211,9 @@ class Grasp:
         t, aged = np.array([instant]), instant - self._sensed
         self._sensed = instant
         touch = Touch.rows([round(instant * s)], *self._cells.read(t, tractions[None], aged), finger=0)
-        return touch, self._state(instant, tractions, (speed, passive))
+        return touch, self._state(tractions, (speed, passive))
 
-    def _state(self, instant: float, tractions: Reals, speeds: tuple[float, float]) -> GraspState:
+    def _state(self, tractions: Reals, speeds: tuple[float, float]) -> GraspState:
         """Return the true state, with tractions (3, n) (Pa) and the sliding speeds (m/s)."""
         across, up, turned = self._body.slide.tolist()
         force = float(tractions[0].sum()) * self._grip.contact.area
@@ -222,7 +221,6 @@ class Grasp:
             weight = tractions[0] / (tractions[0].sum() * self._grip.contact.k_t)
             across, up = across - float(tractions[1] @ weight), up - float(tractions[2] @ weight)
         return GraspState(
-            instant,
             across,
             up,
             turned,
