@@ -108,7 +108,6 @@ def draw_object(random: np.random.Generator) -> Object:
     round_ = curvature in ("sphere", "cylinder_y")
     length = 2 * radius if curvature in ("sphere", "cylinder_x") else log_uniform(random, 0.07, 0.3)
     return Object(
-        "drawn",
         curvature,
         radius=math.inf if curvature == "plane" else radius,
         width=2 * radius if round_ else log_uniform(random, 0.04, 0.15),

@@ -25,7 +25,6 @@ class Object:
     '0.00018 kg m2'
     """
 
-    name: str
     curvature: Curvature
     radius: float  # m, of the curved surface
     width: float  # m, along the pad's x
@@ -63,20 +62,19 @@ class Object:
         return self.radius / 2 if self.curvature == "sphere" else self.length / 2
 
 
-_SIX: Final = (
+OBJECTS: Final = {
     # like YCB 004, a box of sugar; its friction is the scene's own: smooth plastic
-    Object("box", "plane", math.inf, width=0.089, length=0.175, mass=0.514),
+    "box": Object("plane", math.inf, width=0.089, length=0.175, mass=0.514),
     # like YCB 054, a softball; friction assumed: lacquer
-    Object("ball", "sphere", 0.048, width=0.096, length=0.096, mass=0.191, friction=0.8),
+    "ball": Object("sphere", 0.048, width=0.096, length=0.096, mass=0.191, friction=0.8),
     # like YCB 001, a tube of crisps; friction assumed: coated paper
-    Object("cardboard_can", "cylinder_y", 0.0375, width=0.075, length=0.25, mass=0.205, friction=0.8),
+    "cardboard_can": Object("cylinder_y", 0.0375, width=0.075, length=0.25, mass=0.205, friction=0.8),
     # assumed: size, mass (YCB 053, a small football, has 0.123 kg), friction of grained leather, stiffness
-    Object(
-        "football_sleeve", "sphere", 0.05, 0.1, 0.1, mass=0.15, friction=1.2, texture=ROUGH, stiffness=0.4
+    "football_sleeve": Object(
+        "sphere", 0.05, 0.1, 0.1, mass=0.15, friction=1.2, texture=ROUGH, stiffness=0.4
     ),
     # a full 0.33 l can, radius 0.033, in 4 mm of foam: all assumed, friction of neoprene
-    Object("foam_sleeve", "cylinder_y", 0.037, 0.074, 0.115, mass=0.355, friction=1.1, stiffness=0.25),
+    "foam_sleeve": Object("cylinder_y", 0.037, 0.074, 0.115, mass=0.355, friction=1.1, stiffness=0.25),
     # like YCB 005, a can of soup; friction assumed: ribbed steel
-    Object("metal_can", "cylinder_y", 0.033, 0.066, 0.101, mass=0.349, friction=0.9, texture=ROUGH),
-)
-OBJECTS: Final = {each.name: each for each in _SIX}
+    "metal_can": Object("cylinder_y", 0.033, 0.066, 0.101, mass=0.349, friction=0.9, texture=ROUGH),
+}
