@@ -132,7 +132,7 @@ class Gripper(Sink[Commands]):
             text = "answers, not activated: the start of a run activates it, which moves its fingers"
             yield Finding(self.destination, text, "note")
         else:
-            yield Finding(self.destination, f"ready, fingers at {status.positions} of {FULL}")
+            yield Finding(self.destination, "ready")
 
     async def open(self, run: Run) -> None:
         """Connect, and activate the gripper if needed.

@@ -64,13 +64,11 @@ class Status:
         active: Activated, or being activated [gACT].
         ready: Activated, has changed to its mode, and can move.
         fault: 0, or one of `FAULTS` [gFLT].
-        positions: Positions of the fingers (A, B, C), 0 open to 255 closed [gPOA to gPOC].
     """
 
     active: bool = False
     ready: bool = False
     fault: int = 0
-    positions: tuple[int, int, int] = (0, 0, 0)
 
     @classmethod
     def decode(cls, registers: Sequence[int]) -> Self:
@@ -84,7 +82,7 @@ class Status:
         data = b"".join(value.to_bytes(2, "big") for value in registers)
         active = bool(data[0] & 1)
         ready = active and data[0] >> 4 & 3 == _READY
-        return cls(active, ready, fault=data[2] & 0xF, positions=(data[4], data[7], data[10]))
+        return cls(active, ready, fault=data[2] & 0xF)
 
     @property
     def needs_reset(self) -> bool:

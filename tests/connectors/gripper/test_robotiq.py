@@ -14,9 +14,8 @@ from tests.emulators.gripper import register_force
     [
         ("11 00" + " 00" * 14, Status(active=True)),
         ("31 00" + " 00" * 14, Status(active=True, ready=True)),
-        ("39 C0 00 00 B8 0B 00 BD 0E 00 BA 0B 00 89 00 00", Status(True, True, 0, (0xB8, 0xBD, 0xBA))),
-        ("B9 EA 00 FF BC 00 00 C1 00 00 BD 00 00 89 00 00", Status(True, True, 0, (0xBC, 0xC1, 0xBD))),
-        ("F9 FF 00 00 07 00 00 06 00 00 06 00 00 89 00 00", Status(True, True, 0, (7, 6, 6))),
+        ("39 C0 00 00 B8 0B 00 BD 0E 00 BA 0B 00 89 00 00", Status(active=True, ready=True)),
+        ("F9 FF 00 00 07 00 00 06 00 00 06 00 00 89 00 00", Status(active=True, ready=True)),
     ],
 )
 def test_the_answers_in_the_manual_are_decoded(data: str, status: Status) -> None:
