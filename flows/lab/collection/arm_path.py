@@ -97,11 +97,6 @@ class Line:
     speed: float  # m/s; rad/s if the rotation takes longer
     acceleration: float  # m/s2, rad/s2
 
-    def end(self, start: Pose) -> Pose:
-        """Return the pose at the end."""
-        del start
-        return self.poses[-1]
-
     def seconds(self, start: Pose) -> float:
         """Return the duration.
 
@@ -135,13 +130,9 @@ class Turn:
         """Angle, rad: what is lost while speeding up is gained while slowing down."""
         return self.spin * self.time * min(1.0, self.time / self._ramp)
 
-    def end(self, start: Pose) -> Pose:
-        """Return the pose at the end."""
-        return offset_pose(start, yaw=self.angle)
-
-    def seconds(self, start: Pose) -> float:
-        """Return the duration."""
-        del start
+    @property
+    def seconds(self) -> float:
+        """Duration."""
         return self.time + min(self.time, self._ramp)
 
 
@@ -152,11 +143,15 @@ def extent(steps: Iterable[Step], start: Pose) -> tuple[float, Point, Point]:
     """Return the duration (s) of steps from a pose, and the corners of their bounding box (m)."""
     seconds, points, pose = 0.0, [start[:3]], start
     for step in steps:
-        if isinstance(step, Line | Turn):
-            seconds += step.seconds(pose)
-            pose = step.end(pose)
-            points += [each[:3] for each in (step.poses if isinstance(step, Line) else (pose,))]
-        else:
-            seconds += step
+        match step:
+            case Line(poses):
+                seconds += step.seconds(pose)
+                points += [each[:3] for each in poses]
+                pose = poses[-1]
+            case Turn():
+                seconds += step.seconds
+                pose = offset_pose(pose, yaw=step.angle)
+            case standstill:
+                seconds += standstill
     low, high = (tuple(map(each, zip(*points, strict=True))) for each in (min, max))
     return seconds, (low[0], low[1], low[2]), (high[0], high[1], high[2])

@@ -223,7 +223,7 @@ class CollectionPlan:
                     spin = path.rotation_speed if number % 2 else -path.rotation_speed
                     turn = Turn(spin, path.rotation_time, path.rotation_acceleration)
                     begin = replace(surface, pose=offset_pose(surface.middle, yaw=-turn.angle / 2))
-                    end = replace(surface, pose=turn.end(begin.middle))
+                    end = replace(surface, pose=offset_pose(begin.middle, yaw=turn.angle))
                     yield self._stroke(0.0, spin, turn, (begin, 0.0, 0.0), (end, 0.0, 0.0))
                 else:
                     heading, half = math.radians(45.0 * direction), speed * path.slide_time / 2

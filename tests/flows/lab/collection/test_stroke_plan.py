@@ -42,7 +42,7 @@ def test_the_papers_plan_has_all_surfaces_speeds_directions_and_rotations() -> N
 @pytest.mark.parametrize("place", [PLACE, (0.1, 0.2, 0.3, 0.5, -1.0, 0.7)])
 def test_a_stroke_slides_through_the_middle_pressed_by_its_depth(place: Pose) -> None:
     for stroke in only(STROKES, place=place).strokes:
-        down = stroke.approach[-1].end(place)
+        down = stroke.approach[-1].poses[-1]
         (slide,) = [step for step in stroke.contact if isinstance(step, Line)]
         assert slide.speed == 0.1
         assert math.dist(down[:3], slide.poses[0][:3]) == pytest.approx(0.06)
