@@ -69,33 +69,25 @@ def test_a_process_announces_that_it_compiles_and_the_next_one_loads_the_result(
     assert found[1] == ""
 
 
-def test_code_that_other_processes_compiled_for_other_types_is_not_mixed_up(tmp_path: Path) -> None:
-    script = tmp_path / "floors.py"
-    script.write_text(
-        "import math, sys\nimport numpy as np\nfrom operators.compilation import compile_program\n"
-        "def add(row):\n    total = 0.0\n    for x in row.x:\n"
-        + "".join(f"        total += math.floor(x + {number})\n" for number in range(60))  # not inlined
-        + "    return total\ndef run(rows): return add(rows[0]) + add(rows[1])\n"
-        "for size in map(int, sys.argv[1:]):\n"
-        "    print(compile_program(run, [np.zeros(2, [('x', float, (size,))])], {})"
-        "(np.zeros(2, [('x', float, (size,))])))\n"
-    )
-    assert _run(script, "3").stdout.split() == ["10620.0"]
-    assert _run(script, "5", "3").stdout.split() == ["17700.0", "10620.0"]
-
-
-def test_a_module_of_compiled_code_may_be_renamed(tmp_path: Path) -> None:
-    script = tmp_path / "run.py"
+def test_compiled_code_of_other_types_and_of_a_module_since_renamed_is_not_mixed_up(tmp_path: Path) -> None:
+    script, before = tmp_path / "run.py", tmp_path / "before.py"
     script.write_text(
         "import importlib, sys, numpy as np\nfrom operators.compilation import compile_program\n"
-        "step, rows = importlib.import_module(sys.argv[1]).step, np.zeros(1, [('x', float)])\n"
-        "def run(rows): return step(rows[0])\nprint(compile_program(run, [rows], {})(rows))\n"
+        "add = importlib.import_module(sys.argv[1]).add\n"
+        "def run(rows): return add(rows[0]) + add(rows[1])\n"
+        "for size in map(int, sys.argv[2:]):\n"
+        "    rows = np.zeros(2, [('x', float, (size,))])\n"
+        "    print(compile_program(run, [rows], {})(rows))\n"
     )
-    before = tmp_path / "before.py"
-    before.write_text("def step(row): return row.x + 4.125\n")
-    assert _run(script, "before").stdout == "4.125\n"
+    before.write_text(
+        "import math\ndef add(row):\n    total = 0.0\n    for x in row.x:\n"
+        + "".join(f"        total += math.floor(x + {number})\n" for number in range(60))  # not inlined
+        + "    return total\n"
+    )
+    assert _run(script, "before", "3").stdout.split() == ["10620.0"]
+    assert _run(script, "before", "5", "3").stdout.split() == ["17700.0", "10620.0"]
     before.rename(tmp_path / "after.py")
-    assert _run(script, "after").stdout == "4.125\n"
+    assert _run(script, "after", "3").stdout.split() == ["10620.0"]
 
 
 def _function(text: str, **scope: object) -> FunctionType:
