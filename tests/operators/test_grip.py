@@ -63,12 +63,6 @@ def test_a_later_slip_is_judged_by_its_own_forces() -> None:
     assert second == pytest.approx(first)  # commanded when it slipped again
 
 
-def test_a_gap_in_the_scores_is_no_time_of_slip() -> None:
-    grip = _soon(max_force=1.1)
-    assert _pushed(grip, [0.0, 1.0, 1.0, 1.0]).force[-1] == 1.1
-    assert not len(_pushed(grip, [1.0], since=500))
-
-
 @pytest.mark.parametrize("period", [10 * ms, 60 * ms, 100 * ms, 500 * ms])
 @pytest.mark.parametrize("kind", [Grip, StepGrip])
 def test_at_any_rate_of_decisions_a_slip_raises_the_force_to_its_limit_but_a_gap_does_not(
