@@ -102,9 +102,6 @@ class Endless(Source[Scores]):
 
     recorded: str | None = None
 
-    def __init__(self) -> None:
-        self.closed = False
-
     @property
     def kind(self) -> type[Scores]:
         return Scores
@@ -114,9 +111,6 @@ class Endless(Source[Scores]):
         return self.recorded
 
     async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
-        try:
-            while True:
-                await clock.sleep_until(clock.now() + 10 * ms)
-                yield Scores.rows([clock.now()], 0.9)
-        finally:
-            self.closed = True
+        while True:
+            await clock.sleep_until(clock.now() + 10 * ms)
+            yield Scores.rows([clock.now()], 0.9)

@@ -48,15 +48,6 @@ def test_a_missing_extra_is_an_error_before_anything_starts(hide_packages: Calla
     assert sink.opened == 0
 
 
-def test_a_run_ends_after_its_duration() -> None:
-    sink, source = TestSink(), Endless()
-    run = execute(flow_of(source, sink), duration=s)
-    assert 98 <= len(sink.written) <= 100
-    assert run.clock.now() - run.start == s
-    assert source.closed
-    assert sink.closed == 1
-
-
 @pytest.mark.parametrize(("recording", "error"), [("stroke-9", "was interrupted"), (None, "")])
 def test_a_stop_flushes_and_commits_and_leaves_a_replay_incomplete(recording: str | None, error: str) -> None:
     sink, source = TestSink(), Endless()
