@@ -10,6 +10,7 @@ from hypothesis.extra import numpy as st_numpy
 from numpy.typing import NDArray
 
 from operators import Debounce
+from operators.detectors import TRAINED
 from operators.errors import InputError
 from storage import load_debounce, load_detector, save_weights
 from storage.models import load_card, read_weights, save_card, shipped, shipped_names
@@ -53,7 +54,7 @@ def test_weights_come_back_as_they_were_saved(
 def test_weights_of_something_else_are_refused_by_the_name_of_their_file(tmp_path: Path) -> None:
     path = tmp_path / "other.safetensors"
     for detector, complaint in (
-        ("tcn", r"other\.safetensors: .* is missing"),
+        *((name, r"other\.safetensors: .* is missing") for name in TRAINED),
         ("oracle", "is for detector 'oracle'"),
     ):
         save_weights(path, {"x": np.ones(3)}, {"detector": detector})

@@ -120,7 +120,10 @@ def test_a_fingertip_with_another_number_of_cells_is_refused() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(set(_weights()) - {"dilations"}))
-def test_an_array_of_another_shape_is_named(name: str) -> None:
+def test_an_array_of_another_shape_or_that_is_not_finite_is_named(name: str) -> None:
+    for value in (np.nan, np.inf):
+        with pytest.raises(InputError, match=f"^Tcn weights: {name} is not finite$"):
+            Tcn(_weights() | {name: np.full_like(_weights()[name], value)})
     with pytest.raises(InputError, match=r"^Tcn weights: .* has shape .*, must be \("):
         Tcn(_weights() | {name: np.ones((3, 2, 1, 1))})
     with pytest.raises(InputError, match=f"^Tcn weights: {name} has shape"):
