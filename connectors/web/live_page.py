@@ -19,7 +19,7 @@ from itertools import takewhile
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from connectors.events import Fault, encode, faults, finger_name, quality, slips
-from connectors.web.access import PAGE_PORT, http_url
+from connectors.web.access import PAGE_PORT, http_url, required_token
 from connectors.web.curves import curve_json, event_json, faults_json, join_rows, plotted, thin_curve
 from operators.batch import Faults, Motion, Reals, Scores, Slips, Times, Touch, Zeroed, ms, s
 from operators.checks import check_between
@@ -67,7 +67,8 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         opened: Called with the URL once the page is open.
 
     Raises:
-        ParameterError: if `port` or `threshold` is out of range.
+        ParameterError: if `port` or `threshold` is out of range; if the token is malformed, or missing
+            although other machines can reach `host`.
     """
 
     lossless = False
@@ -84,6 +85,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
             check_between("Page", "port", port, 0, 65535)
         if threshold is not None:
             check_between("Page", "threshold", threshold, 0, 1)
+        required_token("Page", host)
         self._host, self._port = host, port
         self.threshold, self._opened = threshold, opened
 
@@ -107,7 +109,6 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
 
         Raises:
             EndpointError: if the server cannot listen on its address.
-            ParameterError: if the token is malformed, or missing although other machines can reach `host`.
         """
         from aiohttp import web
 

@@ -59,7 +59,8 @@ class Metrics(Sink[Scores | Slips | Faults]):
         opened: Called with the URL of the metrics once they are served.
 
     Raises:
-        ParameterError: if `port` is out of range.
+        ParameterError: if `port` is out of range; if other machines can reach `host` and the token is missing
+            or malformed.
     """
 
     lossless = False
@@ -72,6 +73,8 @@ class Metrics(Sink[Scores | Slips | Faults]):
     ) -> None:
         check_between("Metrics", "port", port, 0, 65535)
         self._host, self._port, self._opened = host, port, opened
+        if not is_loopback(host):
+            required_token("Metrics", host)
 
     @property
     def destination(self) -> str:
@@ -88,7 +91,6 @@ class Metrics(Sink[Scores | Slips | Faults]):
 
         Raises:
             EndpointError: if the server cannot listen on its address.
-            ParameterError: if the token is malformed, or missing although other machines can reach `host`.
         """
         from aiohttp import web
         from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest

@@ -61,15 +61,6 @@ def _watch_cells(flow: "Flow") -> None:
             flow.add("faults", Health(clear_after=2 * s), node)
 
 
-def check_access(option: str, listen: str | None) -> None:
-    """Reject an address that other machines can reach, unless the environment has a token."""
-    from connectors.web.access import is_loopback, required_token
-
-    host = parse_address(option, listen)[0] if listen else "localhost"
-    if not is_loopback(host):
-        required_token(f"{option} {listen}", host)
-
-
 def add_metrics(flow: "Flow", listen: str) -> None:
     """Add a sink to a flow that serves metrics of its run, and of the slips, faults and scores.
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.live_view import add_metrics, add_page, check_access
+from flows.cli.live_view import add_metrics, add_page
 from flows.cli.options import (
     Cluster,
     Duration,
@@ -83,8 +83,6 @@ def run(
     replays = {"--jobs": jobs, "--cluster": cluster, "a further recording": more}
     _refuse(replays, "replays: add --replay PATH")
     limit = None if duration is None else int(parse_quantity("run", "--for", duration, "ns"))
-    check_access("--listen", listen)
-    check_access("--metrics", metrics)
     begin_log()
     flow = load_flow(target, settings)
     validate(flow)

@@ -60,10 +60,11 @@ async def test_metrics_are_served_to_this_machine_only_and_only_during_the_run(r
 
 async def test_other_machines_need_a_token_but_for_probes(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     run.sources["touch"], run.sinks["dataset"] = SourceStatus(), SinkStatus()
-    wide = Metrics(0, "0.0.0.0")  # noqa: S104 - what is tested
+    host = "0.0.0.0"  # noqa: S104 - what is tested
     with pytest.raises(ParameterError, match=r"Metrics: host is .* or set SLIPFLOW_PAGE_TOKEN"):
-        await wide.open(run)
+        Metrics(0, host)
     monkeypatch.setenv(TOKEN, "0123456789abcdef")
+    wide = Metrics(0, host)
     await wide.open(run)
     assert (await asked(wide.url))[0] == 403
     own = {"Host": "robot.example", "Authorization": "Bearer 0123456789abcdef"}
