@@ -24,7 +24,7 @@ from flows.learn.labelled_recordings import PAPER_LABEL
 from flows.run.live_runner import LiveRunner
 from flows.run.run_summary import Summary
 from flows.run.supervision import signals_to
-from operators import Align, DeviceClock, MaskLifted, Motion, Source, Touch, Zero, Zeroed, ms, s
+from operators import Align, DeviceClock, MaskLifted, Motion, Source, Touch, Zero, ms, s
 from operators.batch import Episodes, MotionKind, Reals
 from operators.errors import EndpointError, InputError
 from operators.ports import Clock, Description, Run, Sink
@@ -38,10 +38,10 @@ Arm: TypeAlias = UrArm | SimulatedArm  # with the same moves
 
 
 class ContactMonitor(Sink[Touch]):
-    """Sink of raw and of zeroed samples, which keeps the time of the newest and the means of the zeroed.
+    """Sink that keeps the time of each fingertip's newest valid sample, and the means of its counts.
 
     Attributes:
-        newest: Time of the newest valid raw sample, ns, by finger.
+        newest: Time of the newest valid sample, ns, by finger.
     """
 
     lossless = False
@@ -49,6 +49,7 @@ class ContactMonitor(Sink[Touch]):
     def __init__(self) -> None:
         self.newest = dict[int, int]()
         self._sums = dict[int, Reals]()  # (2, 6) sums of counts and numbers of valid samples, by finger
+        self._baseline = dict[int, Reals]()  # (6,) counts, by finger
 
     @property
     def destination(self) -> str:
@@ -59,25 +60,35 @@ class ContactMonitor(Sink[Touch]):
         """Do nothing: a monitor serves one session."""
 
     def take(self, batch: Touch) -> bool:
-        """Store the time of the newest valid raw sample, or add zeroed counts to the means."""
-        if isinstance(batch, Zeroed):
-            more = np.stack([batch.counts * batch.valid, batch.valid]).sum(axis=1, dtype=np.float64)
-            self._sums[batch.finger] = self._sums.get(batch.finger, np.zeros((2, 6))) + more
-        elif batch.valid[-1].any():
+        """Store the time of the newest valid sample, and add the counts to the means."""
+        if batch.valid[-1].any():
             self.newest[batch.finger] = int(batch.time[-1])
+        more = np.stack([batch.counts * batch.valid, batch.valid]).sum(axis=1, dtype=np.float64)
+        self._sums[batch.finger] = self._sums.get(batch.finger, np.zeros((2, 6))) + more
         return True
 
     def restart(self) -> None:
         """Reset the means."""
         self._sums.clear()
 
+    def set_baseline(self) -> None:
+        """Store the current means as the baseline without contact."""
+        self._baseline = self._means()
+
     def without_contact(self) -> list[int]:
-        """Return the fingertips none of whose cells differs from its baseline; omit those without samples."""
+        """Return the fingertips whose means do not differ from the baseline; omit those without samples."""
+        unknown = np.full(6, np.nan)
+        change = {f: np.abs(mean - self._baseline.get(f, unknown)) for f, mean in self._means().items()}
         return sorted(
             finger
-            for finger, (total, number) in self._sums.items()  # (6,), (6,)
-            if number.any() and not (np.abs(total) >= LEAST_CHANGE * np.maximum(number, 1)).any()
+            for finger, cells in change.items()  # (6,)
+            if not (np.isnan(cells).all() or (cells >= LEAST_CHANGE).any())
         )
+
+    def _means(self) -> dict[int, Reals]:
+        """Return the mean of each cell (6,), by finger; NaN without samples."""
+        with np.errstate(invalid="ignore"):
+            return {finger: total / number for finger, (total, number) in self._sums.items()}
 
 
 class Collector(Source[Episodes]):
@@ -220,15 +231,13 @@ class Collector(Source[Episodes]):
         """Return the flow of a session: raw streams, labelled samples, episodes and the arm's clock."""
         flow, dataset = Flow("collect"), Dataset(self._out)
         touch, motion = flow.source(self.touch, "touch"), flow.source(self._motion, "motion")
-        zeroed = touch | Zero()
-        samples = zeroed & (motion | DeviceClock()) | Align(within=20 * ms)
+        samples = (touch | Zero()) & (motion | DeviceClock()) | Align(within=20 * ms)
         label = replace(PAPER_LABEL, delay=self.path.plan.label_delay)
         touch.to(dataset)
         motion.to(dataset)
         (samples | label | MaskLifted(self._series.surface.middle)).to(dataset)
         flow.source(self, "collection").to(dataset)
         touch.to(monitor)
-        zeroed.to(monitor)
         return flow
 
     async def _drive(self, monitor: ContactMonitor) -> None:
@@ -237,7 +246,9 @@ class Collector(Source[Episodes]):
         try:
             while not monitor.newest.keys() >= set(self.touch.fingers):
                 await self.arm.wait(_POLL)
+            monitor.restart()
             await self._follow_as_episode([self.path.plan.path.baseline])
+            monitor.set_baseline()
             for stroke in self._series.strokes:
                 await self._make(stroke, monitor)
                 self.strokes += 1

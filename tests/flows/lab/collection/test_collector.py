@@ -35,9 +35,9 @@ from operators import (
     Labelled,
     Motion,
     ParameterError,
+    Run,
     Touch,
     Truth,
-    Zeroed,
     concat,
     s,
 )
@@ -303,7 +303,7 @@ class Sampled(SimulatedArm):
 
 def test_nothing_moves_without_a_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def silent(*_: object) -> AsyncIterator[Touch]:
-        yield pressed(0, 0, valid=False)
+        yield pressed(400, 0, valid=False)
         await asyncio.sleep(math.inf)
 
     monkeypatch.setattr("connectors.sim.simulated_arm.SimulatedArm._touch", silent)
@@ -356,18 +356,29 @@ def test_a_path_outside_the_workspace_is_refused() -> None:
     )
 
 
-def pressed(change: float, finger: int, *, valid: bool = True) -> Zeroed:
-    """Return ten samples whose cell 3 has about so many counts, the others 0."""
-    cells = np.tile([-1, 1], 5)[:, None] + np.where(np.arange(6) == 3, round(change), 0)
+def pressed(counts: float, finger: int, *, valid: bool = True) -> Touch:
+    """Return ten samples; cell 3 has about so many counts, the others 500."""
+    cells = np.full((10, 6), 500) + np.tile([-1, 1], 5)[:, None]
+    cells[:, 3] += round(counts) - 500
     cells = cells.astype(np.int16)
-    return Zeroed(np.arange(10), cells, cells, np.full((10, 6), valid), finger=finger)
+    return Touch(np.arange(10), cells, cells, np.full((10, 6), valid), finger=finger)
 
 
-def test_each_fingertip_is_judged_by_its_cell_that_changes_most() -> None:
-    monitor = ContactMonitor()
-    for finger, change in enumerate((0, LEAST_CHANGE - 1, LEAST_CHANGE, -40)):
-        monitor.take(pressed(change, finger))
-    monitor.take(pressed(0, 4, valid=False))
+def test_each_fingertip_is_judged_by_its_cell_that_changes_most(run: Run) -> None:
+    """Finger 3 gives no valid sample, finger 4 gave none in the air."""
+    changes = {0: 0, 1: LEAST_CHANGE - 1, 2: LEAST_CHANGE, 3: 0, 5: -40}
+
+    async def main() -> ContactMonitor:
+        monitor = ContactMonitor()
+        await monitor.open(run)
+        for finger in changes:
+            await monitor.write(pressed(400, finger))
+        monitor.set_baseline()
+        monitor.restart()
+        for finger, change in {**changes, 4: 0}.items():
+            await monitor.write(pressed(400 + change, finger, valid=finger != 3))
+        return monitor
+
+    monitor = asyncio.run(main())
     assert monitor.without_contact() == [0, 1]
-    monitor.restart()
-    assert not monitor.without_contact()
+    assert monitor.newest == dict.fromkeys(changes | {4: 0}, 9)
