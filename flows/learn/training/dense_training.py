@@ -262,4 +262,4 @@ class _Layer(nn.Module):
 
 def _array(tensor: Tensor | None) -> NDArray[Any]:
     assert tensor is not None
-    return np.ascontiguousarray(tensor.detach().cpu().numpy(), np.float32)
+    return np.array(tensor.detach().cpu().numpy(), np.float32, order="C")  # a copy: training goes on

@@ -61,3 +61,14 @@ def test_the_detector_made_of_the_weights_is_the_network(recordings: list[Labell
     assert tcn.length == recipe.receptive_field
     streamed = recordings[0].probabilities(tcn)
     np.testing.assert_allclose(streamed[tcn.length - 1 :], dense[tcn.length - 1 :], atol=1e-5)
+
+
+def test_the_weights_of_a_check_do_not_change_in_later_steps() -> None:
+    network = DenseTcn(Recipe(filters=5))
+    kept = network.arrays()
+    before = {name: array.copy() for name, array in kept.items()}
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(1)
+    for name, array in kept.items():
+        np.testing.assert_array_equal(array, before[name])
