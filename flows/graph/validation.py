@@ -159,14 +159,21 @@ def _wrong_operators(flow: Flow) -> Iterator[Problem]:
         for name in (name for name, value in vars(type(node.part)).items() if isinstance(value, Field)):
             yield node.name, f"{name} has no value: write @dataclass above class {type(node.part).__name__}"
         parameters = [f.name for f in fields(node.part) if f.init]
-        for name in parameters:
+        for name in [*parameters, *_class_attributes(type(node.part))]:
             if isinstance(getattr(node.part, name, None), list | dict | set | np.ndarray):
-                yield node.name, f"{name} would be shared by all runs: use a tuple, or init=False for state"
+                reason = "use a tuple, or for state a field with init=False"
+                yield node.name, f"{name} would be shared by all runs: {reason}"
         if not all(hasattr(node.part, f.name) for f in fields(AnyOperator)):
             yield node.name, "its __init__ lacks super().__init__(): use a @dataclass, which needs neither"
         elif type(node.part).reset_copy is AnyOperator.reset_copy:
             for lost in _parameters(type(node.part)) - {*parameters}:
                 yield node.name, f"{lost} would be lost: make it a field of a @dataclass without __init__"
+
+
+def _class_attributes(kind: type[AnyOperator]) -> list[str]:
+    """Return the names to which a class, not an instance, gives values, without those of constants."""
+    known = kind.__annotations__
+    return [name for name in vars(kind) if name.islower() and "__" not in name and name not in known]
 
 
 @cache  # of each class: `signature` takes longer than all other checks

@@ -86,6 +86,12 @@ class Sharing(Loud):
     seen: list[float] = field(default_factory=list[float])
 
 
+@dataclass
+class Collecting(Loud):
+    seen = list[float]()  # noqa: RUF012 - the mistake
+    TABLE = {"steel": 0.3}  # noqa: RUF012 - a constant
+
+
 class Losing(Loud):
     def __init__(self, gain: float = 1.0) -> None:
         super().__init__()
@@ -106,10 +112,11 @@ class Undecorated(Loud):
     [
         (Undecorated(), "Undecorated: _last has no value: write @dataclass above class Undecorated"),
         (Sharing(), "Sharing: seen would be shared by all runs"),
+        (Collecting(), "Collecting: seen would be shared by all runs"),
         (Losing(2.0), "Losing: gain would be lost: make it a field of a @dataclass"),
         (Stateless(), "Stateless: its __init__ lacks super().__init__(): use a @dataclass"),
     ],
-    ids=["undecorated", "shared", "lost", "no base"],
+    ids=["undecorated", "shared", "of the class", "lost", "no base"],
 )
 def test_an_operator_that_each_run_could_not_copy_is_reported(operator: Loud, reason: str) -> None:
     flow = flow_of(TestSource(Scores), TestSink(), through=[operator])
