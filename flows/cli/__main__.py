@@ -1,5 +1,6 @@
 """Entry point of `slipflow`, also as `python -m flows.cli`."""
 
+import faulthandler
 import os
 import resource
 import signal
@@ -36,6 +37,7 @@ def main() -> None:
     for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):  # as Ctrl-C: unfinished output is deleted
         if signal.getsignal(number) is not signal.SIG_IGN:  # of nohup
             signal.signal(number, signal.default_int_handler)
+    faulthandler.register(signal.SIGQUIT, file=2, all_threads=False, chain=True)  # Ctrl-\ prints the line
     sys.unraisablehook = _raise_again
     run()
 

@@ -61,6 +61,12 @@ def test_a_terminated_command_deletes_its_unfinished_output(
     assert [*tmp_path.iterdir()] == []
 
 
+def test_ctrl_backslash_names_the_line_in_progress(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text("import os\nos.kill(os.getpid(), 3)\n")
+    done = captured(*SLIPFLOW, "check", tmp_path / "own.py")
+    assert 'own.py", line 2' in done.stderr
+
+
 def test_a_closed_pipe_ends_quietly() -> None:
     with subprocess.Popen(["true"], stdin=PIPE) as reader:
         reader.wait()
