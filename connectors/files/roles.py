@@ -295,12 +295,11 @@ def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:
     if len(sure) == 1:
         return _matched(COUNTS, sure[0].names, table)
     several = [shortened(group.names) for group in sure or groups]
-    two = ", or counts.0=... and counts.1=... of two fingertips" if len(several) > 1 else ""
-    left_out = "; ".join(f"{name} cannot be used: {reason}" for name, reason in table.left_out.items())
+    of_each = ",".join(f"counts.{finger}={names}" for finger, names in enumerate(several))
+    more = f", or of {len(several)} fingertips {of_each:.200}" if len(several) > 1 else ""
+    bad = "; ".join(f"{name} cannot be used: {reason}" for name, reason in table.left_out.items())
     who = f"{' or '.join(several):.200} may be the cells" if several else "no columns are recognised as cells"
-    table.add_problem(
-        f"{who}; state counts=...{two}{f' ({left_out:.200})' if left_out else ''}", about=COUNTS
-    )
+    table.add_problem(f"{who}; state counts=...{more}{f' ({bad:.200})' if bad else ''}", about=COUNTS)
     return ()
 
 

@@ -106,7 +106,7 @@ def test_a_temperature_is_no_cell_even_if_it_is_mapped() -> None:
         ),
         (
             ("t", *CELLS, *(f"c{i}" for i in range(6))),
-            "s1..s6 or c0..c5 may be the cells; state counts=..., or counts.0=",
+            "may be the cells; state counts=..., or of 2 fingertips counts.0=s1..s6,counts.1=c0..c5",
         ),
         (("t", *CELLS, "label", "slip"), "columns label and slip may be label; state one, as label=label"),
         (
