@@ -141,8 +141,8 @@ class WebServer:
             self._strangers.pop(request.protocol, None)
         elif request.path not in {HEALTH, READY}:
             text = (
-                f"Access to {self._name} needs its token: append /?token=... to the address, or send the"
-                " header 'Authorization: Bearer ...'.\n"
+                f"Access to {self._name} needs its token: send the header 'Authorization: Bearer ...', or"
+                " open /?token=... once in this browser.\n"
             )
             return web.Response(status=403, text=text)
         return await handler(request)
