@@ -11,7 +11,7 @@ from connectors.files.column_map import LABEL, LABELS, MOTIONS, UNITS, ColumnMap
 from connectors.files.number_format import MISSING, with_decimal
 from connectors.files.raw_table import RawTable
 from connectors.files.readings import described, doubts_at_rest, readings_of, reals_of, touch_of
-from connectors.files.roles import completed, label_value, label_values
+from connectors.files.roles import SLIP_WORD, completed, label_value, label_values
 from connectors.files.time_axis import time_axis
 from operators.batch import EVERY, SLIP, STATIC, UNKNOWN, Codes, Flags, Motion, Reals, Touch, s
 from operators.errors import InputError
@@ -135,12 +135,15 @@ def _labels(table: RawTable, columns: ColumnMap) -> Codes:
     if words := [text for text, code in codes.items() if code is None]:
         listed = ", ".join(map(repr, words[:_WORDS_SHOWN])) + ", ..." * (len(words) > _WORDS_SHOWN)
         place = table.place_of(int(found.is_null().arg_true()[0]), name)
-        by, remedy = "usual words", "labels.slip=WORD"
+        text = f"has {listed}, neither slip nor static by"
         if columns.labels:
-            by, remedy = "the map", f"labels.unknown={','.join((*columns.labels.get('unknown', ()), 'WORD'))}"
-        reason = f"has {listed}, neither slip nor static by {by}; state {remedy}"
-        reason += "" if columns.labels else " (others: static)"
-        table.add_problem(reason, place, fix=remedy)
+            more = words if len(words) <= _WORDS_SHOWN else ["WORD"]
+            fix = f"labels.unknown={','.join((*columns.labels.get('unknown', ()), *more))}"
+            table.add_problem(f"{text} the map; state {fix}", place, fix=fix)
+        else:
+            usual = [text for text in codes if known.get(label_value(text)) == "slip"]
+            fix = f"labels.slip={','.join(filter(SLIP_WORD.search, usual)) or 'WORD'}"
+            table.add_problem(f"{text} usual words; state labels.slip=... (others: static)", place, fix=fix)
     given = [(label, [text for text in codes if text and codes[text] == LABELS[label]]) for label in LABELS]
     meanings = "; ".join(f"{label}: {', '.join(words):.100}" for label, words in given if words)
     table.notes += [meanings] if meanings else []

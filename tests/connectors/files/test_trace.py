@@ -92,10 +92,10 @@ def test_the_batches_of_any_size_are_the_whole_trace(write: Write, length: int, 
 
 
 WHOLE = "must be a whole number (or state a unit, as units.counts=kPa, or a resolution)"
-LABEL = "neither slip nor static by usual words; state labels.slip=WORD (others: static)"
+LABEL = "neither slip nor static by usual words; state labels.slip=... (others: static)"
 UNKNOWN = (
-    "neither slip nor static by the map; state labels.unknown=?,WORD; try --map 'time=t,counts=s1,"
-    "label=state,labels.slip=north,labels.static=none,labels.unknown=?,WORD'"
+    "neither slip nor static by the map; state labels.unknown=west; try --map time=t,counts=s1,label=state,"
+    "labels.slip=north,labels.static=none,labels.unknown=west"
 )
 MAP = "try --map time=t,counts=s1..s6,label=label,labels.slip="
 MORE_FIELDS = "has more fields than line 1 has names; a comma in a value needs quotes"
@@ -162,7 +162,7 @@ def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, co
         ("t,s1,s2|0,1,7|1,1,7", "missing=7", ": column s2 has no readings"),
         (
             "t,s1,state|0,1,north|1,1,west",
-            "label=state,labels.slip=north,labels.static=none,labels.unknown=?",
+            "label=state,labels.slip=north,labels.static=none",
             f", line 3, column state: has 'west', {UNKNOWN}",
         ),
         ("", "", ": is empty: its first line must name the columns"),
@@ -251,6 +251,30 @@ def test_labels_may_have_other_values(
 ) -> None:
     path = write(f"{HEADER},state", *(f"{k},1,2,3,4,5,6,{value}" for k, value in enumerate(values)))
     assert Trace(path, ColumnMap.parse(f"label=state,{labels}")).part.labels.tolist() == expected
+
+
+@pytest.mark.parametrize(
+    ("values", "slip"),
+    [
+        (("stick", "slip", "incipient slip"), "slip"),
+        (("no contact", "Sliding", "slip"), "Sliding,slip"),
+        (("0", "1", "2"), "WORD"),  # 2 may be slip, and 1 touch
+        (("no_slip", "gross slip"), "WORD"),
+        (("still", "moving"), "WORD"),
+    ],
+)
+def test_a_suggestion_for_labels_does_not_guess_which_word_is_slip(
+    write: Write, values: tuple[str, ...], slip: str
+) -> None:
+    path = write(f"{HEADER},label", *(f"{k},1,2,3,4,5,6,{value}" for k, value in enumerate(values)))
+    with pytest.raises(InputError, match=rf"label=label,labels.slip={slip}'?$"):
+        _ = Trace(path).part.touch
+
+
+def test_a_suggestion_does_not_list_many_labels(write: Write) -> None:
+    path = write(f"{HEADER},label", *(f"{k / 100},1,2,3,4,5,6,w{k}" for k in range(300)))
+    with pytest.raises(InputError, match=r"state labels\.unknown=WORD; .*labels\.unknown=WORD$"):
+        _ = Trace(path, ColumnMap.parse("labels.slip=w1,labels.static=w2")).part.touch
 
 
 def test_labels_of_slip_alone_are_a_warning(write: Write) -> None:
