@@ -143,21 +143,28 @@ def _add_unit_problem(table: RawTable, name: str, rate: float, unit: str) -> Non
 
 
 def _parts(table: RawTable, name: str, time: Times, *, split: bool) -> Parts:
-    """Return the parts, each with a clock that never goes back; without `split`, several are a problem.
-
-    A clock starts again if it goes back to the first half of the part before; else rows are out of order.
-    """
+    """Return the parts, each with a clock that never goes back; without `split`, several are a problem."""
     back = np.flatnonzero(np.diff(time) < 0) + 1
     parts = tuple(pairwise([0, *back.tolist(), len(time)]))
-    late = [time[row] > np.median(time[start:row]) for start, row in parts[:-1]]
-    stray = any(late) or (len(parts) > 1 and 1 in {stop - start for start, stop in parts})
-    if stray or not split:
-        sizes = ", ".join([*(str(stop - start) for start, stop in parts[:_SHOWN]), "..."][: len(parts)])
-        must_be = f"no less than in the {table.place} before: delete it or, if the logger started again,"
-        must_be += f" --split makes {len(parts)} sessions ({sizes} rows)"
-        must_be = "in order: sort the rows by time, or delete this or the one before" if stray else must_be
-        table.check(name, ~np.isin(np.arange(len(time)), back), must_be)
+    strays = [row for row in (_stray(time, row) for row in back[:_MOST].tolist()) if row]
+    strays = strays or [start for start, stop in parts[1:] if stop - start == 1]
+    sizes = ", ".join([*(str(stop - start) for start, stop in parts[:_SHOWN]), "..."][: len(parts)])
+    must_be = f"no less than in the {table.place} before; if the logger started again,"
+    must_be += f" --split makes {len(parts)} sessions ({sizes} rows)"
+    if strays or not split:
+        must_be = "in order: sort the rows by time, or delete this one" if strays else must_be
+        table.check(name, ~np.isin(np.arange(len(time)), strays or back), must_be)
     return parts
+
+
+def _stray(time: Times, back: int) -> int | None:
+    """Return the row out of order where the clock goes `back` but then on; None: it starts again."""
+    before, after = time[back - 1], time[back : back + 3]
+    if len(after) > 2 and after[0] <= time[max(back - 2, 0)] and after[2] - after[1] == after[1] - after[0]:
+        return None  # it goes on from there
+    if np.any(after[1:] > before):
+        return back
+    return back - 1 if back > 1 and after[0] > time[back - 2] else None
 
 
 def _rate(table: RawTable, name: str, time: Times, parts: Parts, stated: float | None) -> float | None:

@@ -75,7 +75,7 @@ def test_an_invalid_value_is_named_by_row_and_column(path: Path) -> None:
         ([0.0, float("nan"), 2.0], 1, "a time in s"),
         ([0.0, None, 2.0], 1, "a time in s"),
         ([0.0, 1e300, 2.0], 1, "a time in s"),
-        ([0.0, 2.0, 1.0], 2, "in order: sort the rows by time"),
+        ([0.0, 2.0, 1.0], 1, "in order: sort the rows by time"),
     ):
         put(path, t=times, p0=[1, 2, 3], p1=[1, 2, 3])
         with pytest.raises(InputError, match=rf"row {row}, column t: is \S+, must be {must_be}"):

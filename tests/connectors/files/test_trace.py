@@ -99,7 +99,7 @@ UNKNOWN = (
 )
 MAP = "try --map time=t,counts=s1..s6,label=label,labels.slip="
 MORE_FIELDS = "has more fields than line 1 has names; a comma in a value needs quotes"
-ORDER = "in order: sort the rows by time, or delete this or the one before"
+ORDER = "in order: sort the rows by time, or delete this one"
 NO_TIME = "no column is recognised as time; state time=..., or rate=... if it has none"
 COLUMNS = "state counts=...; (2) " + NO_TIME + "; try --map time=column1,counts=column2,column3"
 T_S1 = "the columns are t s1"
