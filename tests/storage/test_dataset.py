@@ -63,7 +63,7 @@ def held(step: str) -> Generator[tuple[threading.Event, threading.Event]]:
         yield reached, go_on
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=25)
 @given(
     cuts=st.lists(st.integers(0, 30), max_size=12), bounds=st.tuples(st.integers(1, 500), st.integers(1, 50))
 )

@@ -89,7 +89,7 @@ def copied(folder: Path) -> Generator[Path]:
         rmtree(copy)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(data=st.data())
 def test_whatever_session_json_says_the_errors_are_typed(folder: Path, data: st.DataObject) -> None:
     with copied(folder) as copy:
@@ -97,7 +97,7 @@ def test_whatever_session_json_says_the_errors_are_typed(folder: Path, data: st.
         files.put_checked(copy / "session.json", changed(about, data))
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(data=st.data())
 def test_whatever_a_manifest_lists_the_errors_are_typed(folder: Path, data: st.DataObject) -> None:
     with copied(folder) as copy:

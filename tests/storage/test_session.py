@@ -51,7 +51,7 @@ def folder(dataset: Path) -> Path:
     return dataset / "sessions/one"
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=25)
 @given(
     data=st.data(),
     cells=st.sampled_from([1, 6, 16, 128]),
