@@ -1,6 +1,7 @@
 """The command line: run to its end in this process, or started in a process of its own."""
 
 import logging
+import os
 import subprocess
 import sys
 from contextlib import chdir, redirect_stderr, redirect_stdout
@@ -27,7 +28,7 @@ def captured(*words: str | Path, **options: Any) -> subprocess.CompletedProcess[
 
 
 def slipflow(*arguments: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end in this process."""
+    """Run a command to its end in this process; without `--jobs` it starts no others."""
     out, err = (TextIOWrapper(BytesIO(), "utf-8", write_through=True) for _ in range(2))
     command = ["slipflow", *map(str, arguments)]
     root, ours = logging.getLogger(), logging.getLogger("slipflow")
@@ -39,6 +40,7 @@ def slipflow(*arguments: str | Path, cwd: Path | None = None) -> subprocess.Comp
             redirect_stderr(err),
             patch.object(sys, "argv", command),
             patch.object(main, "_debug", new=False),
+            patch.object(os, "cpu_count", return_value=1),  # a process for each core takes seconds to start
             chdir(cwd or "."),
         ):
             main.main()
