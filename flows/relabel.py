@@ -1,10 +1,12 @@
 """Relabelling: new samples and slips from recordings, after a change of labels or detector."""
 
 from connectors import SimulatedRig
+from connectors.ur.ur_state import Pose
 from flows.graph import Flow
 from flows.graph.quantity import Duration, Rate, Speed
 from flows.record import ARM_LATENCY
-from operators import Align, Label, Score, Zero, ms
+from operators import Align, Label, MaskLifted, Score, Zero, ms
+from operators.errors import ParameterError
 from storage import Dataset, load_debounce, load_detector
 
 
@@ -14,6 +16,7 @@ def relabel(
     speed: Speed = 0.003,
     delay: Duration = ARM_LATENCY,
     false_alarms: Rate | None = None,
+    surface: str = "",
 ) -> Flow:
     """Label and score recordings again; run it with --replay.
 
@@ -23,6 +26,11 @@ def relabel(
         speed: Arm speed above which a sample is slip.
         delay: Lag of the arm's velocity relative to the touch.
         false_alarms: Rate of false alarms that the detector was calibrated for; None: as trained.
+        surface: Pose of the fingertip at contact, `place` in session.json of a collection: 0,0,0,3.14,0,0
+            (m and rotation vector). Slip more than 2 mm above it is unknown. Empty: air moves are slip, too.
+
+    Raises:
+        ParameterError: if the surface is no pose.
     """
     flow = Flow("relabel")
     rig, dataset = SimulatedRig(), Dataset(out)  # --replay replaces the rig by the recording
@@ -31,6 +39,8 @@ def relabel(
 
     zeroed = touch | Zero()
     samples = zeroed & motion | Align(within=20 * ms) | Label(speed=speed, delay=delay)
+    if surface:
+        samples |= MaskLifted(_pose(surface))
     debounce = load_debounce(detector, false_alarms)
     slips = zeroed | Score(load_detector(detector)) | debounce
 
@@ -39,3 +49,13 @@ def relabel(
     flow.source(rig.episodes).to(dataset)  # copied, if recorded
     flow.source(rig.truth).to(dataset)
     return flow
+
+
+def _pose(text: str) -> Pose:
+    try:
+        x, y, z, *rotation = (float(each) for each in text.split(","))
+        a, b, c = rotation
+    except ValueError:
+        must_be = "six numbers with commas: position (m) and rotation vector (rad)"
+        raise ParameterError("relabel", "surface", text, must_be) from None
+    return x, y, z, a, b, c

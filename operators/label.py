@@ -23,7 +23,7 @@ MARGIN: Final = 0.002  # m above the contact plane
 class Label(Operator[Sample, Labelled]):
     """Label each sample as slip, static or unknown by the arm's speed in the contact plane.
 
-    A sample is slip if the planar speed is above `speed` or, if `rotation` is given, the angular speed is
+    A sample is slip if the planar speed is above `speed` or, unless `rotation` is None, the angular speed is
     above it. It is unknown if the planar speed is 0.3 m/s or more, or the motion is NaN, as in unmatched
     rows. The contact plane is perpendicular to the fingertip's z axis. Without a known pose, the fingertip
     is assumed to be aligned with the base frame.
@@ -34,7 +34,7 @@ class Label(Operator[Sample, Labelled]):
 
     Args:
         speed: Planar speed above which a sample is slip, m/s.
-        rotation: Angular speed above which a sample is slip, rad/s; 0.2 in the paper; None: ignore rotation.
+        rotation: Angular speed above which a sample is slip, rad/s, as in the paper; None: ignore rotation.
         delay: Lag of the arm's motion, ns.
 
     Raises:
@@ -50,7 +50,7 @@ class Label(Operator[Sample, Labelled]):
     """
 
     speed: float = 0.003
-    rotation: float | None = None
+    rotation: float | None = 0.2
     delay: int = 0
 
     def __post_init__(self) -> None:

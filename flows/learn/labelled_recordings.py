@@ -46,7 +46,7 @@ from storage.layout import session_folders
 SPLITS: Final = ("train", "validation", "test")
 # of recordings without a split, in turn
 TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train", "test", "train", "train")
-PAPER_LABEL: Final = Label(SLIDING, rotation=0.2)  # of strokes
+PAPER_LABEL: Final = Label(SLIDING)  # of strokes
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 WARM_UP: Final = 99  # samples; the paper's windows have 100

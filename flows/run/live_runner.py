@@ -20,6 +20,7 @@ from operators.errors import OperatorError, SlipflowError
 from operators.ports import Clock, ClockStep, Run, SourceStatus
 
 CHECK_INTERVAL: Final = 1.0  # s, between two checks of the host's clock and of silent sources
+STALL: Final = 5 * s  # ns between two checks, from which on the run stood still
 REPORT_INTERVAL: Final = 5.0  # s, between two messages about sinks that the end of the run waits for
 YIELD_EVERY: Final = 16  # rows; a source that never waits yields to the event loop after as many
 CANCEL_LIMIT: Final = 5.0  # s; a source that has not ended so long after its cancellation is left alone
@@ -245,7 +246,11 @@ class LiveRunner:
         reports a failure does not hang.
         """
         while True:
+            began = self.clock.now()
             await asyncio.sleep(CHECK_INTERVAL)
+            if (waited := self.clock.now() - began) > STALL:
+                cause = "an own source, operator or sink blocks (Ctrl-\\ prints its line), or the host was busy"
+                log.warning("the run stood still for %.1f s: %s", waited / s, cause)
             self._check_host_clock()
             for queue in self._queues.values():
                 queue.observe()

@@ -10,16 +10,22 @@ from operators.batch import concat
 from storage import Session
 
 
+def recorded(dataset: Path) -> Session:
+    return Session.open(min((dataset / "sessions").iterdir()))
+
+
 def replayed(source: Path, out: Path, speed: float) -> Session:
-    folder = min((source / "sessions").iterdir())
     flow = relabel(str(out), speed=speed, delay=0)
-    asyncio.run(ReplayRunner(flow, Session.open(folder), "again").execute())
+    asyncio.run(ReplayRunner(flow, recorded(source), "again").execute())
     return Session.open(out / "sessions" / "again")
 
 
 def test_a_changed_label_changes_the_samples_and_keeps_the_counts(tiny: Path, tmp_path: Path) -> None:
     sessions = [replayed(tiny, tmp_path / str(speed), speed) for speed in (0.003, 0.2)]
-    before, after = (concat(Labelled, list(session.read(Labelled, 0))) for session in sessions)
+    first, before, after = (
+        concat(Labelled, list(session.read(Labelled, 0))) for session in (recorded(tiny), *sessions)
+    )
+    assert np.array_equal(first.label, before.label)  # also those of rotations
     assert np.array_equal(before.counts, after.counts)
     assert (before.label == 1).sum() > (after.label == 1).sum()
     assert set(sessions[0].tables) == {"samples", "slips", "episodes", "truth"}, "derived streams only"

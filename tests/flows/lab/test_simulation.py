@@ -91,7 +91,7 @@ def test_a_session_is_the_same_as_a_live_recording_of_the_scene(tmp_path: Path, 
     async def live() -> None:
         flow = Flow("simulate")
         rig = SimulatedRig(planned.scene, planned.seed)
-        declare_recording(flow, rig, Label(speed=0.003, rotation=0.2), Dataset(tmp_path))
+        declare_recording(flow, rig, Label(speed=0.003), Dataset(tmp_path))
         await LiveRunner(flow, planned.session, clock=LoopClock(planned.start)).execute()
 
     run_virtually(live())

@@ -229,10 +229,13 @@ def test_rows_that_are_missing_in_a_short_pause_are_in_the_summary() -> None:
     assert "scores: 200 rows in, 0 late, 150 missing, 0 gaps" in Summary.of(run).report()
 
 
-def test_a_stalled_host_and_a_full_sink_make_no_source_stale() -> None:
+def test_a_run_that_stood_still_is_named_and_a_full_sink_makes_no_source_stale(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     busy = FaultySink(capacity=1, before_write=lambda: asyncio.sleep(7))
     run = execute(flow_of(Pausing(4, 0.0), busy), at={0.035: lambda _, loop: loop.stall(60)})
     assert (run.sources["scores"].rows, run.sources["scores"].gaps) == (4, [])
+    assert "the run stood still for 60" in caplog.text
 
 
 def test_a_failed_source_lets_go_of_its_device_before_it_is_opened_again() -> None:

@@ -26,7 +26,9 @@ from flows.graph.testing import VirtualLoop, run_virtually
 from flows.lab.collection.arm_path import Surface
 from flows.lab.collection.collector import LEAST_CHANGE, Collector, ContactMonitor, virtual_arm
 from flows.lab.collection.stroke_plan import CollectionPlan, Limits, PathSettings, PlannedPath, StrokeSeries
+from flows.relabel import relabel
 from flows.run.clocks import LoopClock
+from flows.run.replay_runner import ReplayRunner
 from operators import (
     EVERY,
     SLIP,
@@ -216,11 +218,15 @@ def test_session_json_has_the_plan(quick: Made) -> None:
     assert "MaskLifted" in " ".join(quick.about["declaration"])
 
 
-def test_rotations_slip(tmp_path: Path) -> None:
+def test_rotations_slip_and_air_moves_do_not_also_if_labelled_again(tmp_path: Path) -> None:
     done = made(tmp_path / "data", ROTATIONS)
     assert (done.collected.strokes, done.collected.error) == (STROKES, "")
     labelled = concat(Labelled, list(done.session.read(Labelled, 0)))
     assert (labelled.label == SLIP).sum() > STROKES * 20
+    flow = relabel(str(tmp_path / "again"), "psd", delay=0, surface=",".join(map(str, PLACE)))
+    asyncio.run(ReplayRunner(flow, done.session, "again").execute())
+    again = concat(Labelled, list(Session.open(tmp_path / "again/sessions/again").read(Labelled, 0)))
+    assert np.array_equal(again.label, labelled.label)
     air, first, last = done.session.frame("episodes").to_dicts()
     assert [each["motion"] for each in (air, first, last)] == ["hold", "rotation", "rotation"]
     assert first["angular_speed"] == -last["angular_speed"]
