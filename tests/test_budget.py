@@ -13,15 +13,15 @@ ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
     "operators": 4_916,
-    "connectors": 10_475,
-    "storage": 3_844,
-    "flows": 12_280,
-    "product": 31_515,
+    "connectors": 10_408,
+    "storage": 3_829,
+    "flows": 12_067,
+    "product": 31_220,
     "product files": 212,
-    "tests": 29_435,
+    "tests": 29_108,
     "commands": 16,
-    "options": 70,
-    "words": 35_049,
+    "options": 64,
+    "words": 34_988,
 }
 
 
