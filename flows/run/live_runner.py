@@ -249,7 +249,7 @@ class LiveRunner:
             began = self.clock.now()
             await asyncio.sleep(CHECK_INTERVAL)
             if (waited := self.clock.now() - began) > STALL:
-                cause = "an own source, operator or sink blocks (Ctrl-\\ prints its line), or the host was busy"
+                cause = "a source, operator or sink blocks (Ctrl-\\ prints its line), or the host was busy"
                 log.warning("the run stood still for %.1f s: %s", waited / s, cause)
             self._check_host_clock()
             for queue in self._queues.values():
