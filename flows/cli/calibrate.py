@@ -31,7 +31,7 @@ def calibrate(
         str, typer.Option(metavar="SHARE", help="Probability that the rate is kept, from 80% to 99.9%.")
     ] = "95%",
 ) -> None:
-    """Choose settings of the debounce that keep a stated rate of false alarms.
+    """Choose a debounce that keeps a rate of false alarms.
 
     On data like the given recordings, false alarms are then at most as frequent as RATE, with the given
     confidence. The model card records the settings; flows use them with their parameter `false_alarms`. A

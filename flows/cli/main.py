@@ -36,11 +36,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for function in (
-    *(run, demo, check, doctor, show, watch),
-    *(train, calibrate, evaluate, collect, experiment),
-    *(verify, fetch, import_, export, simulate),
-):
+COMMANDS: Final = (
+    run, demo, check, doctor, show, watch,
+    train, calibrate, evaluate, collect, experiment,
+    verify, fetch, import_, export, simulate,
+)  # fmt: skip
+for function in COMMANDS:
     text, _, lines = (getdoc(function) or "").partition("Examples:\n")
     epilog = f"\b\nExamples:\n{lines}"  # \b: no line is wrapped up to the next empty one
     app.command(function.__name__.rstrip("_"), help=text.rstrip(), epilog=epilog)(function)
