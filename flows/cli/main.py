@@ -37,8 +37,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 COMMANDS: Final = (
-    run, demo, check, doctor, show, watch,
-    train, calibrate, evaluate, collect, experiment,
+    run, demo, check, doctor, show, watch, train, calibrate, evaluate, collect, experiment,
     verify, fetch, import_, export, simulate,
 )  # fmt: skip
 for function in COMMANDS:
