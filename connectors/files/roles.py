@@ -125,7 +125,6 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
         found[TIME], found[DATE] = found[DATE] if dated else found[TIME], ()
     if not found[TIME] and stated.rate is None and not stated.columns.get(TIME):
         reason = "no column is recognised as time; state time=..., or rate=... if it has none"
-        reason += " (an index of pandas: reset_index(), time=index)" if not table.sha256 else ""
         table.add_problem(reason, about=TIME)
     found = {key: names for key, names in found.items() if names}
     used = {name for names in found.values() for name in names}

@@ -124,12 +124,22 @@ def interpreted(
     if isinstance(source, str | Path):
         return interpret(read_table(Path(source), columns.separator), columns, split=split)
     try:
-        source = _upright(source) if isinstance(source, Mapping) else source
+        source = _upright(source) if isinstance(source, Mapping) else _with_index(source)
         frame = source if isinstance(source, pl.DataFrame) else pl.DataFrame(source, infer_schema_length=None)
     except (TypeError, ValueError, OverflowError, pl.exceptions.PolarsError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(name, f"cannot become a DataFrame of polars: {reason:.200}") from None
     return interpret(RawTable.of(frame, name), columns, split=split)
+
+
+def _with_index(frame: Any) -> Any:
+    """Return a pandas DataFrame whose index, if it has times or a name, is a column."""
+    index: Any = getattr(frame, "index", None)
+    if not hasattr(index, "names") or ([*index.names] == [None] and not hasattr(index, "freq")):
+        return frame
+    named = frame if any(index.names) else frame.rename_axis("timestamp")
+    twice = [name for name in named.index.names if name in named.columns]
+    return named.reset_index(twice, drop=True).reset_index(drop=len(twice) == len(named.index.names))
 
 
 def _upright(arrays: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -313,8 +313,6 @@ def test_a_table_in_memory_is_a_trace(kind: Callable[[dict[str, object]], object
     assert set(trace.part.labels.tolist()) == {1}
     assert trace.describe()["trace"] == "made.bin"
     assert trace.describe()["group"] == "wood"
-    with pytest.raises(InputError, match=r"as time; .* \(an index of pandas: reset_index"):
-        _ = Trace(pd.DataFrame({"p0": [1, 2], "p1": [1, 2]}, [0.0, 0.01])).part
 
 
 def test_arrays_may_have_a_row_per_channel_two_fingertips_and_one_label() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import polars as pl
 import pytest
 from hypothesis import given
@@ -19,7 +20,7 @@ from flows.learn.labelled_recordings import load
 from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import session_of
 from operators import Zero
-from operators.batch import EVERY, Labelled, Motion, Touch, Zeroed, concat, ms
+from operators.batch import EVERY, Labelled, Motion, Touch, Zeroed, concat, ms, s
 from operators.errors import InputError, ParameterError
 from storage import Session
 from tests.flows.run.live import flow_of
@@ -258,6 +259,24 @@ def test_the_folder_of_a_file_may_state_its_split(tmp_path: Path) -> None:
     assert found == [", split train", "", ", split validation", ", split test"]
     sessions = [Session.open(folder) for folder in sorted((tmp_path / "out/sessions").iterdir())]
     assert [each.about["split"] for each in sessions] == ["train", None, "validation", "test"]
+
+
+@pytest.mark.parametrize(
+    "index",
+    [
+        pd.date_range("2026-05-01", periods=300, freq="10ms"),
+        pd.date_range("2026-05-01", periods=300, freq="10ms", name="stamp", tz="Europe/Berlin"),
+        pd.timedelta_range(0, periods=300, freq="10ms"),
+        pd.Index(np.arange(300) / 100, name="t"),
+    ],
+)
+def test_an_index_of_pandas_is_the_time(index: Any, tmp_path: Path) -> None:
+    frame = pd.DataFrame({"p0": np.arange(300), "p1": np.arange(300)}, index=index)
+    found = import_frame(frame, tmp_path, "pad")
+    assert found.trace.part.columns.rate == 100
+    assert found.trace.part.touch.time[0] == {"t": 0, "stamp": 1777586400 * s}.get(
+        str(index.name), 1777593600 * s if hasattr(index, "tz") else 0
+    )
 
 
 @pytest.mark.parametrize(("unit", "cells"), [("count", 6), ("kPa", 6), ("count", 5)])
