@@ -216,6 +216,8 @@ class TooLittleDataError(SlipflowError):
             f"a rate of {rate:g} false alarms per minute cannot be shown with {100 * confidence:g} %"
             f" confidence: {found}{advice}"
         )
+        self.rate, self.confidence, self.alarms = rate, confidence, alarms
+        self.minutes, self.needed = minutes, needed
 
 
 def calibrate_model(

@@ -216,7 +216,7 @@ def test_a_file_is_opened_by_its_content_under_any_name(name: str, tmp_path: Pat
     (tmp_path / name).write_text("t,p0,p1\n0,500,501\n0.01,502,503\n")
     assert open_recording(tmp_path / name, print).fingers(Touch) == (0,)
     (tmp_path / name).write_bytes(b"PK\3\4")
-    with pytest.raises(InputError, match="is a ZIP file: unpack it"):
+    with pytest.raises(InputError, match="is an Excel file or an archive: save it"):
         open_recording(tmp_path / name, print)
 
 
