@@ -11,9 +11,7 @@ from operator import index
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
-from operators.batch import EVERY, SLIP, STATIC, UNKNOWN, Codes, Flags, Times
+from operators.batch import EVERY, SLIP, STATIC, UNKNOWN, Codes, Times
 from operators.checks import check_between, check_choice
 from operators.errors import InputError, ParameterError
 from operators.ports import Description
@@ -64,14 +62,13 @@ class HandLabels:
     version: int = 0  # from 1; 0: none was written
     spans: tuple[LabelSpan, ...] = ()  # in order of fingertip and time
 
-    def replace(self, label: Codes, time: Times, finger: int) -> tuple[Codes, Flags]:
-        """Return the labels (n,) of samples at `time` (n,), replaced within spans, and where (n,)."""
-        label, by_hand = label.copy(), np.zeros(len(label), np.bool_)
+    def replace(self, label: Codes, time: Times, finger: int) -> Codes:
+        """Return the labels (n,) of samples at `time` (n,), replaced within spans."""
+        label = label.copy()
         for span in self.spans:
             if span.finger == finger:
-                rows = (time >= span.begin) & (time < span.end)
-                label[rows], by_hand[rows] = VALUES[span.value], True
-        return label, by_hand
+                label[(time >= span.begin) & (time < span.end)] = VALUES[span.value]
+        return label
 
 
 def read_hand_labels(folder: Path, about: Description, version: int | None = None) -> HandLabels:

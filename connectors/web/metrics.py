@@ -73,8 +73,7 @@ class Metrics(Sink[Scores | Slips | Faults]):
     ) -> None:
         check_between("Metrics", "port", port, 0, 65535)
         self._host, self._port, self._opened = host, port, opened
-        if not is_loopback(host):
-            required_token("Metrics", host)
+        self._token = None if is_loopback(host) else required_token("Metrics", host)
 
     @property
     def destination(self) -> str:
@@ -119,8 +118,7 @@ class Metrics(Sink[Scores | Slips | Faults]):
             failing = unready(run)
             return web.Response(status=503, text=f"{failing}\n") if failing else await healthy(request)
 
-        token = None if is_loopback(self._host) else required_token("Metrics", self._host)
-        self._server = WebServer("metrics", self._host, self._port, token)
+        self._server = WebServer("metrics", self._host, self._port, self._token)
         await self._server.open(web.get(PATH, metrics), web.get(HEALTH, healthy), web.get(READY, ready))
         self._opened(self.url)
 

@@ -306,10 +306,9 @@ def _of_session(session: Session, finger: int, hand: HandLabels) -> LabelledReco
     label = samples.label if isinstance(samples, Labelled) else np.full(len(samples), UNKNOWN, np.int8)
     episodes = concat(Episodes, list(session.read(Episodes, EVERY)))
     truth = concat(Truth, list(session.read(Truth, finger)))
-    label, _ = hand.replace(label, samples.time, finger)
     return LabelledRecording(
         forward_fill(samples.counts, samples.valid),
-        label,
+        hand.replace(label, samples.time, finger),
         samples.valid,
         _sliding(samples, truth) if len(truth) else None,
         _strokes(episodes, samples.time),
