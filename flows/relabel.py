@@ -26,8 +26,8 @@ def relabel(
         speed: Arm speed above which a sample is slip.
         delay: Lag of the arm's velocity relative to the touch.
         false_alarms: Rate of false alarms that the detector was calibrated for; None: as trained.
-        surface: Pose of the fingertip at contact, `place` in session.json of a collection: 0,0,0,3.14,0,0
-            (m and rotation vector). Slip more than 2 mm above it is unknown. Empty: air moves are slip, too.
+        surface: Pose at contact, as `place` in session.json of a collection: 0,0,0,3.14,0,0 (m and rotation
+            vector). Slip labels more than 2 mm above it become unknown. Empty: they stay.
 
     Raises:
         ParameterError: if the surface is no pose.
@@ -53,8 +53,7 @@ def relabel(
 
 def _pose(text: str) -> Pose:
     try:
-        x, y, z, *rotation = (float(each) for each in text.split(","))
-        a, b, c = rotation
+        x, y, z, a, b, c = map(float, text.split(","))
     except ValueError:
         must_be = "six numbers with commas: position (m) and rotation vector (rad)"
         raise ParameterError("relabel", "surface", text, must_be) from None

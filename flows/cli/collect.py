@@ -64,7 +64,7 @@ def collect(
     chosen = load_plan(plan)
     if dry_run:
         if robot is None and not virtual:
-            note("the arm's pose is unknown: the path starts above the surface, by default the origin")
+            note("the arm's pose is unknown: the path starts above the surface (by default at the origin)")
         typer.echo(_path_text(asyncio.run(_planned(chosen, None if virtual else robot))))
         return
     if not virtual:

@@ -20,7 +20,7 @@ from operators.errors import OperatorError, SlipflowError
 from operators.ports import Clock, ClockStep, Run, SourceStatus
 
 CHECK_INTERVAL: Final = 1.0  # s, between two checks of the host's clock and of silent sources
-STALL: Final = 5 * s  # ns between two checks, from which on the run stood still
+STALL: Final = 5 * s  # ns; after a longer time between two checks, the run stood still
 REPORT_INTERVAL: Final = 5.0  # s, between two messages about sinks that the end of the run waits for
 YIELD_EVERY: Final = 16  # rows; a source that never waits yields to the event loop after as many
 CANCEL_LIMIT: Final = 5.0  # s; a source that has not ended so long after its cancellation is left alone

@@ -132,7 +132,7 @@ class Turn:
 
     @property
     def seconds(self) -> float:
-        """Duration."""
+        """Duration, s."""
         return self.time + min(self.time, self._ramp)
 
 
