@@ -157,6 +157,15 @@ def test_the_broker_of_the_page_is_for_this_machine_until_it_has_tls(tmp_path: P
     assert listeners == [["listener 1883 127.0.0.1"], ["listener 8883"]]
 
 
+def test_git_ignores_each_secret_that_the_page_writes() -> None:
+    written = {
+        *re.findall(r"(?<![\w/])(?!/)[\w/]*(?:certificates/[\w.*]+|\w+\.(?:password|env))(?=\s)", PAGE)
+    }
+    assert {"deploy/certificates/broker.*", "reader.password", "deploy/metrics.env"} <= written
+    done = captured("git", "check-ignore", *written, cwd=DEPLOY.parent)
+    assert written - {*done.stdout.split()} == set()
+
+
 def test_images_of_others_are_pinned_by_digest() -> None:
     shipped = (DEPLOY / "Dockerfile").read_text() + (DEPLOY / "compose.yaml").read_text()
     images = re.findall(r"^(?:FROM| +image:) (\S+)", shipped, re.MULTILINE)

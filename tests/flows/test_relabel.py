@@ -25,7 +25,7 @@ def test_a_changed_label_changes_the_samples_and_keeps_the_counts(tiny: Path, tm
     first, before, after = (
         concat(Labelled, list(session.read(Labelled, 0))) for session in (recorded(tiny), *sessions)
     )
-    assert np.array_equal(first.label, before.label)  # also those of rotations
+    assert np.array_equal(first.label, before.label)
     assert np.array_equal(before.counts, after.counts)
     assert (before.label == 1).sum() > (after.label == 1).sum()
     assert set(sessions[0].tables) == {"samples", "slips", "episodes", "truth"}, "derived streams only"

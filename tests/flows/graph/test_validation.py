@@ -89,6 +89,7 @@ class Sharing(Loud):
 @dataclass
 class Collecting(Loud):
     seen = list[float]()  # noqa: RUF012 - the mistake
+    TABLE = {"steel": 0.3}  # noqa: RUF012 - a constant
 
 
 class Losing(Loud):
@@ -152,6 +153,9 @@ def test_the_batch_parameter_of_a_sink_may_have_any_name() -> None:
 
 
 class Wrong:
+    async def any_type(self, batch: object) -> None:
+        """Take anything."""
+
     async def no_type(self, batch) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001 - wrong on purpose
         """Take anything."""
 
@@ -165,14 +169,15 @@ class Wrong:
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [
-        ("write", Wrong.no_type, "lacks a batch type: annotate it, as in async def write(self, batch: "),
+        ("write", Wrong.any_type, "lacks a batch type: annotate it, as in async def write(self, batch: "),
+        ("write", Wrong.no_type, "lacks a batch type: annotate it"),
         ("write", Wrong.at_once, "write must be declared with async def"),
         ("open", lambda self, run: None, "open must be declared with async def"),
         ("close", lambda self: None, "close must be declared with async def"),
         ("take", Wrong.later, "take must be declared with def"),
         ("destination", lambda self: "here", "destination must be a text: make it an attribute or a "),
     ],
-    ids=["no type", "write", "open", "close", "take", "destination"],
+    ids=["any type", "no type", "write", "open", "close", "take", "destination"],
 )
 def test_a_sink_that_would_fail_in_a_run_is_reported(name: str, value: object, reason: str) -> None:
     kind = type("Own", (TestSink,), {name: value})

@@ -16,7 +16,7 @@ from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from flows.graph.testing import TestSink, TestSource
 from flows.lab.importing import AttachLabels, TraceImport, import_files, import_frame
-from flows.learn.labelled_recordings import load
+from flows.learn.labelled_recordings import common_fingertip, load
 from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import session_of
 from operators import Zero
@@ -303,3 +303,16 @@ def test_labels_are_attached_to_their_rows_for_any_cut(cuts: list[int]) -> None:
     assert given.label.tolist() == list(labels)
     assert not given.matched.any()
     assert operator.reset_copy().push(touch[:2]).label.tolist() == [-1, 0]
+
+
+def test_counts_of_one_sensor_are_trained_together(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    paths = list[Path]()
+    for base in (500, 40_000, 40_101):  # counts of 16 bits
+        cells = {f"p{cell}": base + rng.integers(0, 99, 300) for cell in range(2)}
+        paths.append(tmp_path / f"{base}.parquet")
+        pl.DataFrame({"t": np.arange(300) / 100, **cells, "slip": [0, 1] * 150}).write_parquet(paths[-1])
+    assert len([*import_files(paths, tmp_path / "out", ColumnMap.parse("range=0:65535"))]) == 3
+    recordings = load(tmp_path / "out")
+    assert len(recordings) == 3
+    assert common_fingertip(recordings).resolution == 1
