@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flows.cli.options import DatasetOrSession
-from flows.cli.terminal import progress_bar
+from flows.cli.terminal import note, progress_bar
 from flows.report.table import counted
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def export(
 
     lerobot: each session becomes an episode. The observation has the zeroed counts of all fingertips, the
     action is the velocity of the arm. Each frame takes the nearest sample; without one it repeats the values
-    before it, with `valid` false. Requires samples, which `slipflow run record` writes.
+    before it, with `valid` false. Sessions without samples, which `slipflow run record` writes, are left out.
 
     mcap: one file per session, with all rows on the topics /touch/FINGER, /motion, /samples/FINGER,
     /slip/FINGER and /faults. Requires the extra `mcap`.
@@ -58,10 +58,14 @@ def _sessions(path: Path) -> "list[Session]":
 
 
 def _lerobot(source: Path, out: Path, rate: int | None) -> str:
-    """Write a dataset of all sessions, and return what it has."""
+    """Write a dataset of all sessions with samples, and return what it has."""
+    from operators import Labelled
     from storage.exports.lerobot import export as write
 
-    sessions = _sessions(source)
+    found = _sessions(source)
+    sessions = [each for each in found if each.fingers(Labelled)] or found  # none: an error that says so
+    if left_out := [each.name for each in found if each not in sessions]:
+        note(f"without samples, so left out: {', '.join(left_out)}")
     with progress_bar("exporting") as update:
         done = write(
             sessions, out, rate=rate, progress=lambda number, name: update(number, len(sessions), name)

@@ -5,9 +5,10 @@ from shutil import copytree
 
 import pytest
 
+from operators.batch import Touch
 from storage.files import put_checked, read_checked
-from tests.command import slipflow, succeed
-from tests.storage.made import session_names
+from tests.command import error, slipflow, succeed
+from tests.storage.made import new_batch, record, session_names
 
 
 def test_a_dataset_becomes_a_file_per_session_or_one_session_one_file(tiny: Path, tmp_path: Path) -> None:
@@ -33,3 +34,12 @@ def test_a_name_in_session_json_leads_out_of_no_folder(tiny: Path, tmp_path: Pat
     assert [each.relative_to(tmp_path).as_posix() for each in tmp_path.rglob("*.mcap")] == [
         "deep/out/one.mcap"
     ]
+
+
+def test_a_session_without_samples_is_left_out_of_a_lerobot_dataset(tiny: Path, tmp_path: Path) -> None:
+    data = copytree(tiny, tmp_path / "data")
+    live = record(data, [new_batch(Touch)], "live")
+    done = succeed("export", data, "out", "--to", "lerobot", cwd=tmp_path)
+    assert done.stderr == "without samples, so left out: live\n"
+    assert done.stdout.startswith("12 episodes ")
+    assert "has no samples" in error("export", live.folder, "other", "--to", "lerobot", cwd=tmp_path)

@@ -18,6 +18,7 @@ FILES = {
 MISTAKES = [
     # usage
     ("run live --fr 5s", "no such option: --fr. Did you mean --for? See slipflow run --help"),
+    ("run live --debug", "--debug stands before the command: slipflow --debug COMMAND"),
     ("run", "missing argument 'FILE[:FLOW]'. See slipflow run --help"),
     ("rum live", "no such command 'rum'. Did you mean 'run'? See slipflow --help"),
     ("simulate out --seed x", "invalid value for '--seed': must be a valid integer. See slipflow simulate"),
