@@ -5,7 +5,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from operator import attrgetter
 from time import perf_counter
 from typing import Any, Final, cast
 
@@ -179,11 +178,13 @@ def set_seed(seed: int) -> None:
 def fit(task: TrainingTask, progress: Progress) -> Trained:
     """Train a network, and keep the weights with the best balanced accuracy on validation.
 
+    If validation lacks slip or static, nothing can be chosen, and the last weights are kept.
+
     Args:
         task: Network to train.
         progress: Called after each step.
     """
-    began, curve, losses = perf_counter(), list[Check](), list[Tensor]()
+    began, curve, losses, best = perf_counter(), list[Check](), list[Tensor](), -math.inf
     arrays: Arrays = {}
     for step in range(1, task.steps + 1):
         losses.append(_step(task, step))
@@ -193,8 +194,8 @@ def fit(task: TrainingTask, progress: Progress) -> Trained:
             check = Check(step, perf_counter() - began, loss, *scores)
             losses.clear()
             curve.append(check)
-            if max(curve, key=attrgetter("balanced")) is check:  # the first of equals
-                arrays = task.network.arrays()
+            if not check.balanced <= best:  # the first of equals; NaN if a class is missing
+                best, arrays = check.balanced, task.network.arrays()
         progress(step, task.steps, check)
     return Trained(arrays, tuple(curve))
 

@@ -1,3 +1,4 @@
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from unittest.mock import Mock
@@ -76,17 +77,26 @@ def test_a_seed_gives_the_same_weights_whatever_else_runs_and_another_seed_other
     assert any(not np.array_equal(value, other[array]) for array, value in first.items())
 
 
-def test_the_best_epoch_on_validation_is_kept_the_first_of_equals(monkeypatch: pytest.MonkeyPatch) -> None:
-    def trained(epochs: int) -> Trained:
-        scores = [(50.0, 60.0), (70.0, 80.0), (90.0, 80.0), (60.0, 70.0)][:epochs]
+@pytest.mark.parametrize(
+    ("balanced", "best"),
+    [
+        pytest.param((60.0, 80.0, 80.0, 70.0), 2, id="the first of equals"),
+        pytest.param((math.nan,) * 4, 4, id="the last if validation lacks a class"),
+    ],
+)
+def test_the_best_epoch_on_validation_is_kept(
+    balanced: tuple[float, ...], best: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def trained(each: Sequence[float]) -> Trained:
+        scores = [(90.0 - epoch, value) for epoch, value in enumerate(each)]
         monkeypatch.setattr(training_loop, "_evaluate", Mock(side_effect=scores))
-        result = train_windowed(SHORT, SHORT, PaperRecipe("frequency_cnn", epochs))
+        result = train_windowed(SHORT, SHORT, PaperRecipe("frequency_cnn", len(scores)))
         assert [(epoch.accuracy, epoch.balanced) for epoch in result.curve] == scores
         return result
 
-    two, four = trained(2), trained(4)
-    for array, value in four.arrays.items():
-        np.testing.assert_array_equal(value, two.arrays[array])
+    found, rising = trained(balanced), trained([60.0, 70.0, 80.0, 90.0][:best])
+    for array, value in found.arrays.items():
+        np.testing.assert_array_equal(value, rising.arrays[array])
 
 
 def test_the_longest_gradient_of_an_array_bounds_its_step() -> None:
