@@ -154,8 +154,9 @@ def train(
         arrays, results = _from_random(datasets, about["detector"], parts, recipe, progress)
     else:
         assert isinstance(recipe, Recipe), "the command line trains only a tcn further"
+        parent = parent.for_fingertip(fingertip)
         recipe = further(parent, recipe)
-        arrays, results = _from_model(parent.for_fingertip(fingertip), recordings, recipe, progress)
+        arrays, results = _from_model(parent, recordings, recipe, progress)
         about |= {"detector": parent.name, "parent": identify_detector(str(start)), "recipe": asdict(recipe)}
         about["data"] += load_card(shipped(str(start)) or Path(str(start))).get("data", [])
     return write_model(out, arrays, {**about, **results})

@@ -16,6 +16,7 @@ from flows.learn.training.trainer import further
 from operators.detectors import Tcn
 from operators.detectors.weights import Weights
 from operators.errors import InputError
+from operators.fingertip import TAKKTILE
 from storage import load_detector
 from tests.flows.learn.training.conftest import TrainOn
 
@@ -77,6 +78,15 @@ def test_few_minutes_improve_a_model_on_what_is_held_out_and_its_card_states_the
     assert model.card["recipe"] == asdict(further(parent_network, Recipe(steps=30)))
     assert (len(done), "debounce" in model.card) == (30, True)
     assert isinstance(load_detector(model.path), Tcn)
+
+
+def test_training_goes_on_from_the_scores_of_the_parent_on_a_converter_of_12_bits(
+    parent: Path, train_on: TrainOn, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, other = (replace(stroked(seed), fingertip=replace(TAKKTILE, range=(4095, 0))) for seed in (10, 11))
+    monkeypatch.setattr(trainer, "further", lambda tcn, recipe: replace(further(tcn, recipe), rate=1e-12))
+    model = train_on([one, replace(other, split="test")], Recipe(steps=1), start=str(parent))
+    assert model.card["scores"]["after"] == model.card["scores"]["before"]
 
 
 def test_the_test_split_is_held_out_and_a_worse_model_is_called_so(parent: Path, train_on: TrainOn) -> None:
