@@ -234,7 +234,7 @@ def load(*datasets: Path) -> list[LabelledRecording]:
     """Read every fingertip of sessions, or of all of datasets, that has samples or labels by hand.
 
     A label by hand replaces the label by arm speed. A session without samples, as without an arm, is read
-    from its touch, with the labels by hand only. Sessions of datasets in which none has a split, as in
+    from its touch, with the labels by hand only. These sessions of datasets in which none has a split, as in
     recordings made by hand, are assigned in the order given, in datasets in that of their names: seven of ten
     to train, one to validation, two to test.
 
@@ -248,7 +248,7 @@ def load(*datasets: Path) -> list[LabelledRecording]:
     for dataset in datasets:
         recordings = _read(dataset)
         if not any(each.split for each in recordings):
-            splits = dict(zip([folder.name for folder in session_folders(dataset)], turns, strict=False))
+            splits = dict(zip(dict.fromkeys(each.name for each in recordings), turns, strict=False))
             recordings = [replace(each, split=splits[each.name]) for each in recordings]
         found += recordings
     return found

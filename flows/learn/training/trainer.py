@@ -41,7 +41,7 @@ FURTHER_STEPS: Final = 300  # of further training
 _FURTHER_CROP: Final = 500  # evaluated samples of a crop of it
 _CERTAIN: Final = 1e-12  # distance from 0 and 1 at which logits are cut off
 _MIN_SCALE: Final = 0.01  # keeps the order of samples even if validation contradicts the network
-_FEW: Final = 5  # recordings, from which on whole ones are held out
+_FEW: Final = 5  # sessions, from which on whole ones are held out
 _SHARES: Final = {"train": 0.6, "validation": 0.2, "test": 0.2}  # of a recording that is divided in time
 _FURTHER_SHARES: Final = {"train": 0.7, "test": 0.3}  # the same, for further training
 
@@ -148,9 +148,9 @@ def train(
     }
     if parent is None:
         parts = by_split(recordings)
-        if len(recordings) < _FEW and not parts["validation"]:
+        if len({each.session for each in recordings}) < _FEW and not parts["validation"]:
             parts = _in_time(parts["train"], _SHARES) | ({"test": parts["test"]} if parts["test"] else {})
-            log("few recordings: each is divided in time, which flatters the model; record five or more")
+            log("few sessions: each is divided in time, which flatters the model; record five or more")
         arrays, results = _from_random(datasets, about["detector"], parts, recipe, progress)
     else:
         assert isinstance(recipe, Recipe), "the command line trains only a tcn further"
@@ -184,7 +184,7 @@ def _from_random(
 
     for split in ("train", "validation"):
         if not parts[split]:
-            raise _unusable(datasets, f"five recordings or more, or some with a {split} split")
+            raise _unusable(datasets, f"five sessions or more, or some with a {split} split")
     judged = {split: parts[split] for split in ("validation", "test") if parts[split]}
     for split, recordings in judged.items():  # without labels there is no accuracy
         sampling = recordings[0].sampling

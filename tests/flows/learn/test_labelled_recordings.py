@@ -101,6 +101,9 @@ def test_recordings_without_splits_take_turns_by_session_also_if_given_one_by_on
         (each.name, each.split) for each in load(copy)
     ]
     assert load(tiny, copy)[-1].split == one_by_one[-1].split
+    unlabelled = record(copy, [Touch.rows([s], np.zeros((1, 6)), 0, True, finger=0)]).folder
+    unlabelled.rename(unlabelled.with_name("a"))
+    assert [each.split for each in load(copy)] == turns
 
 
 def test_labels_by_hand_replace_those_by_arm_speed_and_not_the_truth(tiny: Path, tmp_path: Path) -> None:
