@@ -54,6 +54,12 @@ def test_an_interval_is_that_of_recordings_drawn_with_replacement() -> None:
             assert value == pytest.approx(expected, abs=tolerance)
 
 
+def test_a_median_between_two_values_has_the_interval_of_the_same_median() -> None:
+    results = [result_rows({"delay ms": [10, 30]}, method="", recording=str(number)) for number in range(3)]
+    found = estimates(joined(results), {"delay ms": median("delay ms")})
+    assert found.select("value", "low", "high").row(0) == (20, 20, 20)
+
+
 def test_unknown_values_are_null_and_few_recordings_have_no_interval() -> None:
     found = estimates(study(), STATISTICS).filter(method="none")
     assert found["value"].to_list() == [100, None, None]
