@@ -148,8 +148,9 @@ def judge_all(
     if not names:
         raise InputError("evaluate", "; ".join(f"{name}: {why}" for name, why in missing.items()))
     judged = results.filter(pl.col("method").is_in(names))
-    accuracy = estimates(judged, {"accuracy %": SHARES["accuracy %"]}, draws=0).sort("value", descending=True)
-    order = accuracy["method"].to_list() or names  # nothing is judged
+    accuracy = estimates(judged, {"accuracy %": SHARES["accuracy %"]}, draws=0)
+    ranked = accuracy.sort("value", descending=True, nulls_last=True)
+    order = ranked["method"].to_list() or names  # nothing is judged
     return Evaluation(
         subject,
         joined(results.filter(method=name) for name in order),

@@ -8,13 +8,13 @@ import pytest
 
 from flows.learn.evaluation.evaluation_study import Evaluation, evaluate, judge_all
 from flows.learn.evaluation.folds import Fold, group_folds
-from flows.learn.evaluation.methods import Learner, hold_out_methods
+from flows.learn.evaluation.methods import PAPER_RULE, FittedMethod, Learner, hold_out_methods
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.measures import BALANCED, SHARES
 from flows.learn.training.recipe import Recipe
 from flows.report.results import estimates
 from flows.run.executor import workers
-from operators.detectors import Detector
+from operators.detectors import Detector, Psd
 from operators.errors import InputError
 from operators.fingertip import TAKKTILE
 from tests.flows.learn.conftest import Trained
@@ -34,6 +34,12 @@ def test_the_most_accurate_comes_first(found: Evaluation) -> None:
     assert list(found.methods) == sorted(accuracy, key=lambda name: -accuracy[name])
     assert found.results["method"].unique(maintain_order=True).to_list() == [*found.methods]
     assert found.leader == "tcn", "the default, whatever its place"
+
+
+def test_a_method_without_any_probability_comes_last(surfaces: list[LabelledRecording]) -> None:
+    fold = Fold("", (), (), [surfaces[0].piece(slice(300))])
+    tasks = [(FittedMethod(f"{length}", Psd(length), PAPER_RULE), fold) for length in (400, 25)]
+    assert [*judge_all("", tasks).methods] == ["25", "400"]
 
 
 def test_tasks_on_processes_give_the_same_results(found: Evaluation, tiny: Path) -> None:
