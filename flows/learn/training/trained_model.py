@@ -30,7 +30,7 @@ class Check:
     seconds: float
     loss: float  # mean since the last check, nats
     accuracy: float  # on the validation split, %
-    balanced: float  # the same, mean of the two classes, %
+    balanced: float | None  # the same, mean of the two classes, %; None: a class is missing
 
 
 Progress: TypeAlias = Callable[[int, int, Check | None], object]  # steps done, all steps, new check

@@ -194,8 +194,8 @@ def fit(task: TrainingTask, progress: Progress) -> Trained:
             check = Check(step, perf_counter() - began, loss, *scores)
             losses.clear()
             curve.append(check)
-            if not check.balanced <= best:  # the first of equals; NaN if a class is missing
-                best, arrays = check.balanced, task.network.arrays()
+            if check.balanced is None or check.balanced > best:  # the first of equals
+                best, arrays = check.balanced or 0.0, task.network.arrays()
         progress(step, task.steps, check)
     return Trained(arrays, tuple(curve))
 
@@ -210,9 +210,10 @@ def _step(task: TrainingTask, step: int) -> Tensor:
     return loss.detach()
 
 
-def _evaluate(task: TrainingTask) -> tuple[float, float]:
-    """Return accuracy and balanced accuracy on the validation recordings, %."""
+def _evaluate(task: TrainingTask) -> tuple[float, float | None]:
+    """Return accuracy and balanced accuracy on the validation recordings, %; None: a class is missing."""
     task.network.eval()
     with torch.no_grad():
         counts = confusion(*task.predict())
-    return float(accuracy(counts)), float(balanced(counts))
+    mean = float(balanced(counts))
+    return float(accuracy(counts)), None if math.isnan(mean) else mean

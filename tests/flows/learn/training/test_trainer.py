@@ -80,6 +80,16 @@ def test_another_format_is_refused_before_anything_is_read(tmp_path: Path) -> No
         train([tmp_path / "nothing"], tmp_path / "model.pt", SMALL)
 
 
+def test_a_model_is_written_also_if_what_is_held_out_has_no_slip(tiny: Path, train_on: TrainOn) -> None:
+    first, *_, last = load(tiny)
+    still = replace(last, label=np.zeros_like(last.label), split="validation")
+    model = train_on([replace(first, split="train"), still], SMALL)
+    assert model.card["curve"][-1]["balanced"] is None
+    assert "validation: accuracy" in model.report()
+    again = train_on([first, replace(still, split="test")], SMALL, start="tcn")
+    assert "after: accuracy" in again.report()
+
+
 @pytest.mark.parametrize("split", ["validation", "test"])
 def test_a_split_without_labels_after_the_warm_up_is_refused(
     tiny: Path, train_on: TrainOn, split: str
