@@ -179,7 +179,7 @@ def _alarm_settings(name: str, card: Mapping[str, Any], per_minute: float) -> An
     """Return the settings of a card for a rate of false alarms."""
     found = alarm_entries(name, card)
     for rate, entry in found.items():
-        if isclose(rate, per_minute, rel_tol=1e-6):
+        if isclose(rate, per_minute, rel_tol=1e-5):  # calibrate prints six digits
             return entry["debounce"]
     rates = ", ".join(f"{rate:g}/min" for rate in found)
     known = f"calibrated for {rates} only" if found else "not calibrated"

@@ -7,7 +7,7 @@ import pytest
 
 from flows.graph.loading import load as load_flow
 from flows.learn.alarm_calibration import Calibrated, TooLittleDataError, calibrate_model
-from flows.learn.event_metrics import EventMetrics
+from flows.learn.event_metrics import EventMetrics, debounce_settings
 from flows.learn.labelled_recordings import load
 from flows.learn.training.trained_model import learned, provenance
 from operators import Debounce, minute
@@ -57,6 +57,15 @@ def test_a_flow_uses_the_setting_of_its_rate_and_refuses_others(tiny: Path, tmp_
         load_debounce(path, 1 / minute)
     with pytest.raises(InputError, match="tcn: is not calibrated; run `slipflow calibrate tcn --on SESSIONS"):
         load_flow("relabel").flow({"false_alarms": "6/h"})
+
+
+def test_the_rate_that_the_report_states_is_that_of_the_card(tmp_path: Path) -> None:
+    path, per_hour, none = model(tmp_path), round(1 / 60, 9), EventMetrics(np.empty(0), 0, 0, 0, 200.0)
+    entry = {"false_alarms_per_min": per_hour, "debounce": debounce_settings(Debounce(0.7))}
+    save_card(path, {**load_card(path), "alarms": [entry]})
+    report = Calibrated(per_hour, 0.95, Debounce(0.7), 0.015, none).report(path)
+    stated = report.partition("--set false_alarms=")[2].partition("/min")[0]
+    assert load_debounce(path, float(stated) / minute) == Debounce(0.7)
 
 
 def test_a_damaged_entry_is_reported(tmp_path: Path) -> None:
