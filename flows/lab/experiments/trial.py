@@ -39,7 +39,7 @@ FINGERTIP: Final = Parameters()  # with the six objects; no training grasp has i
 RANDOM: Final = "random"  # objects and fingertips
 SCANS: Final = 100  # samples of the open gripper at least: a detector's first window
 
-# A Robotiq 3-Finger Gripper grips with at least 15 N, ten times the force that holds the objects of this
+# A Robotiq 3-Finger Gripper grips with at least 15 N, more than seven times what holds the objects of this
 # scene, and cannot reduce its force without opening. The model has its steps, refresh rate and delay, but
 # for small forces, and can reduce them.
 LATENCY: Final = 0.008  # s: 3 ms to convert, 4 ms to read on a 100 kHz bus, 1 ms from command to gripper

@@ -9,6 +9,7 @@ from connectors.sim.body import GRAVITY
 from connectors.sim.grasp import Grasp, Tap, least_force
 from connectors.sim.objects import OBJECTS
 from connectors.sim.scene import Parameters, Travel, Vibration
+from tests.pages import ROOT, table
 
 SMOOTH = Parameters(texture=0.0)
 EVEN = Parameters(texture=0.0, static_friction=1.0, kinetic_friction=1.0, stribeck_speed=1.0)  # Coulomb
@@ -35,6 +36,12 @@ def gripped(grasp: Grasp, force: float, closing: float = 1.0) -> Grasp:
     """The grasp, with a hand that closes with a force (N)."""
     grasp.press(force, closing)
     return grasp
+
+
+def test_the_page_states_the_least_force_of_each_object() -> None:
+    rows = table(ROOT / "docs/explanations/grasp.md", "## The objects")
+    stated = {row["object"]: row["least force N"] for row in rows}
+    assert stated == {name: f"{least_force(thing):.2f}" for name, thing in OBJECTS.items()}
 
 
 @pytest.mark.parametrize("name", OBJECTS)
