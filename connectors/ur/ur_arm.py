@@ -158,6 +158,7 @@ class UrArm:
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 await self._until(lambda: False, inf, "")
+        self._check()  # it may have been stopped as the time was up
 
     def fail(self, reason: str) -> None:
         """Stop the arm permanently; the current move and all later ones raise this reason."""

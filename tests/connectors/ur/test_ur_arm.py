@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from connectors.ur.control_process import STOP_DECELERATION, Command, Move, MoveTo, Signal
-from connectors.ur.ur_arm import PATH_TOLERANCE, UrArm, request_stop
+from connectors.ur.ur_arm import _STEERING, PATH_TOLERANCE, UrArm, request_stop
 from connectors.ur.ur_state import ArmState, Bounds
 from flows.graph.testing import VirtualLoop
 from flows.run.clocks import LoopClock
@@ -219,13 +219,20 @@ async def test_a_missing_state_stops_it() -> None:
         assert "sent nothing" in here.arm.fault
 
 
-async def test_a_late_arm_on_a_path_gets_no_velocity_after_the_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.virtual
+@pytest.mark.parametrize(
+    ("seconds", "reason"), [(-1.5, "to reach the target"), (1.0, "planted")], ids=["late", "stopped"]
+)
+async def test_an_arm_on_a_path_gets_no_velocity_after_the_stop(
+    monkeypatch: pytest.MonkeyPatch, seconds: float, reason: str
+) -> None:
     sent, arm = list[Command](), UrArm(HOST, BOUNDS, LoopClock())
     arm.state = ArmState(BEGIN, (0.0,) * 6)
     monkeypatch.setattr(arm.control, "send", sent.append)
-    with pytest.raises(EndpointError, match="to reach the target"):
-        await arm.line([BEGIN, (0.42, *BEGIN[1:])], 0.05, 0.5, seconds=-1.5)  # the time is up at once
-    assert sent == [Signal.STOP]
+    asyncio.get_running_loop().call_later(_STEERING, arm.fail, "planted")  # when the next velocity is due
+    with pytest.raises(EndpointError, match=reason):
+        await arm.line([BEGIN, (0.42, *BEGIN[1:])], 0.05, 0.5, seconds)
+    assert sent.index(Signal.STOP) == len(sent) - 1
 
 
 @pytest.mark.virtual
