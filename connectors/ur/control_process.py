@@ -235,7 +235,8 @@ class ControlClient:
         """Send keep-alive messages to the process, and check its replies, until it ends."""
         loop = asyncio.get_running_loop()
         while not self.ended.is_set():
-            self.send(Signal.KEEP_ALIVE)
+            if self.ready:  # a pipe that is not read is full after 28 s, and then blocks the event loop
+                self.send(Signal.KEEP_ALIVE)
             if loop.time() - self._replied > HUNG:
                 self._failed(f"the process that commands it has not replied for {HUNG} s")
             await asyncio.sleep(_HEARTBEAT)

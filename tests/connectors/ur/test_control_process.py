@@ -155,6 +155,16 @@ def test_a_rejected_command_ends_the_process(pipe: tuple[Connection, Connection]
     assert replies[-1] == Reply("failed", "the controller rejects the command MoveTo")
 
 
+@pytest.mark.virtual
+async def test_the_pipe_to_a_process_that_starts_does_not_fill_up() -> None:
+    client, (ours, theirs) = ControlClient("robot", 5.0, str), multiprocessing.Pipe()
+    client._pipe, client._replied = ours, 10.0
+    keeping = asyncio.create_task(client.keep_alive())
+    await asyncio.sleep(1.0)
+    assert not theirs.poll()
+    keeping.cancel()
+
+
 @pytest.mark.skipif(find_spec("rtde_control") is None, reason="needs the extra `ur`")
 async def test_a_controller_that_cannot_be_commanded_is_reported() -> None:
     reasons = list[str]()
