@@ -38,7 +38,7 @@ _RANGES: Final = {  # lowest and highest value of each setting and limit, and it
     "rotation_speed": (0.25, 3, "rad/s"),  # above that of `PAPER_LABEL`
     "rotation_acceleration": (0.01, 5, "rad/s2"),
     "rest": (0, 60, "s"),
-    "baseline": (0.01, 600, "s"),
+    "baseline": (1, 600, "s"),  # `Zero` measures in the first second
     "clearance": (0.003, 0.5, "m"),  # up to 2 mm above the surface counts as contact (`MaskLifted`)
     "travel_speed": (0.0001, 1, "m/s"),
     "press_speed": (0.0001, MAX_SPEED, "m/s"),
