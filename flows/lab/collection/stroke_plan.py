@@ -40,8 +40,8 @@ _RANGES: Final = {  # lowest and highest value of each setting and limit, and it
     "rest": (0, 60, "s"),
     "baseline": (1, 600, "s"),  # `Zero` measures in the first second
     "clearance": (0.003, 0.5, "m"),  # up to 2 mm above the surface counts as contact (`MaskLifted`)
-    "travel_speed": (0.0001, 1, "m/s"),
-    "press_speed": (0.0001, MAX_SPEED, "m/s"),
+    "travel_speed": (0.002, 1, "m/s"),  # below `STANDSTILL` an arm counts as arrived 0.5 mm early
+    "press_speed": (0.002, MAX_SPEED, "m/s"),
     "acceleration": (0.01, 5, "m/s2"),
     "force": (1, 250, "N"),
     "margin": (0.0001, 0.1, "m"),

@@ -72,6 +72,7 @@ def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
         ("[path]\nrotation_speed = nan", "path.rotation_speed is nan, must be from 0.25 to 3 rad/s"),
         ("[path]\nclearance = '2mm'", "path.clearance is 0.002, must be from 0.003 to 0.5 m"),
         ("[path]\nbaseline = '0.5s'", "path.baseline is 0.5, must be from 1 to 600 s"),
+        ("[path]\npress_speed = '1mm/s'", "path.press_speed is 0.001, must be from 0.002 to 0.3 m/s"),
         ("rounds = 1_000_000_000_000", "rounds is 1000000000000, must be from 1 to 100"),
         ("[limits]\nsensor_timeout = '1d'", "limits.sensor_timeout is 86400.0, must be from 0.05 to 5 s"),
         ("[limits]\nworkspace = [-inf, -1, -1, 1, 1, 1]", "limits.workspace is -inf, must be from -10 to"),
