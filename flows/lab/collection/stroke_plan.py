@@ -72,6 +72,8 @@ class PathSettings:
 
     def __post_init__(self) -> None:
         _check_ranges(self, self.__slots__)
+        slips, turn = 0.25 / self.rotation_acceleration, 6.28 / self.rotation_speed  # s
+        check_between("PathSettings", "rotation_time", self.rotation_time, slips, turn, unit="s")
 
 
 @dataclass(frozen=True, slots=True)

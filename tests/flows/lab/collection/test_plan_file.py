@@ -73,6 +73,8 @@ def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
         ("[path]\nclearance = '2mm'", "path.clearance is 0.002, must be from 0.003 to 0.5 m"),
         ("[path]\nbaseline = '0.5s'", "path.baseline is 0.5, must be from 1 to 600 s"),
         ("[path]\npress_speed = '1mm/s'", "path.press_speed is 0.001, must be from 0.002 to 0.3 m/s"),
+        ("[path]\nrotation_time = '7s'", "path.rotation_time is 7.0, must be from 0.25 to 6.28 s"),
+        ("[path]\nrotation_time = '200ms'", "path.rotation_time is 0.2, must be from 0.25 to 6.28 s"),
         ("rounds = 1_000_000_000_000", "rounds is 1000000000000, must be from 1 to 100"),
         ("[limits]\nsensor_timeout = '1d'", "limits.sensor_timeout is 86400.0, must be from 0.05 to 5 s"),
         ("[limits]\nworkspace = [-inf, -1, -1, 1, 1, 1]", "limits.workspace is -inf, must be from -10 to"),
