@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from flows.graph.validation import problems
+from flows.lift import SETTLE
+from operators import Grip
 from tests.command import error, slipflow, succeed
 from tests.pages import ROOT, block
 
@@ -57,4 +59,6 @@ def test_a_printed_plan_is_a_plan(tmp_path: Path) -> None:
 def test_the_flow_on_the_hardware_page_is_valid() -> None:
     names = dict[str, Any]()
     exec(block(ROOT / "docs/how-to/hardware.md", "hold.py"), names)  # noqa: S102 - the page's own code
-    assert problems(names["hold"]("10.0.0.2", "10.0.0.3")) == []
+    flow = names["hold"]("10.0.0.2", "10.0.0.3")
+    assert problems(flow) == []
+    assert [node.part.settle for node in flow.nodes if isinstance(node.part, Grip)] == [SETTLE]
