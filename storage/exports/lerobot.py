@@ -23,6 +23,7 @@ from __future__ import annotations  # they name classes of pyarrow
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Any, Final
@@ -296,8 +297,8 @@ def _all_statistics(root: Path, declared: Iterable[str]) -> dict[str, Any]:
     """Return the statistics of each feature over all episodes; one feature at a time is in memory."""
     import polars as pl
 
-    data = root / "data/*/*.parquet"
-    return {name: _statistics(pl.read_parquet(data, columns=[name])[name].to_numpy()) for name in declared}
+    read = partial(pl.read_parquet, root / "data", glob=False)  # the path may contain brackets
+    return {name: _statistics(read(columns=[name])[name].to_numpy()) for name in declared}
 
 
 def _table(values: Values, declared: Mapping[str, Any]) -> pa.Table:

@@ -180,6 +180,12 @@ def test_the_rate_is_that_of_the_samples_and_a_higher_one_is_refused(tmp_path: P
     assert export([single], tmp_path / "single", rate=100).frames == 1
 
 
+def test_the_name_of_the_folder_may_contain_the_characters_of_a_pattern(tmp_path: Path) -> None:
+    session = record(tmp_path, [new_samples(np.arange(10) * 10 * ms)])
+    assert export([session], tmp_path / "out[1]").frames == 10
+    assert json.loads((tmp_path / "out[1]/meta/stats.json").read_text())["index"]["max"] == [9]
+
+
 def test_a_failed_export_leaves_no_files(tmp_path: Path) -> None:
     time = np.arange(10) * 10 * ms
     one = record(tmp_path / "data", [new_samples(time)], "a")
