@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from operators.batch import EVERY, UNKNOWN, Flags, Labelled, Motion, Times, concat, ms, s
 from operators.errors import InputError
-from operators.fingertip import RATE_TOLERANCE
+from operators.fingertip import RATE_TOLERANCE, Fingertip
 from operators.ports import SomeBatch
 from operators.score import forward_fill
 from storage.arrow import pa, pq
@@ -96,8 +96,8 @@ def export(
         progress: Called with the number of finished sessions and the name of the next.
 
     Raises:
-        InputError: if a session has no samples, is damaged, or has other fingertips; if the rate is above
-            that of the samples; if a session has no frame.
+        InputError: if a session has no samples, is damaged, or has other fingertips or units; if the rate is
+            above that of the samples; if a session has no frame.
         EndpointError: if the folder exists or cannot be written; then nothing is left of it.
     """
     contents, rate = _common_contents(sessions), _frame_rate(sessions, rate)
@@ -172,7 +172,19 @@ def _common_contents(sessions: Sequence[Session]) -> _Contents:
         if own != other:
             reason = f"has {own}, but {sessions[0].name} has {other}: export them separately"
             raise InputError(str(session.folder), reason)
+    _check_scales([(each, tip) for each in sessions if (tip := each.fingertip(Labelled))])
     return replace(found[0], arm=frozenset.intersection(*(each.arm for each in found)))
+
+
+def _check_scales(tips: Sequence[tuple[Session, Fingertip]]) -> None:
+    """Check that the counts of all sessions have one unit, and one direction and range if these are known."""
+    for one, first in sorted(tips, key=lambda each: each[1].range is None)[:1]:
+        for session, tip in tips:
+            same = (tip.unit, tip.resolution) == (first.unit, first.resolution) and first.ratio(tip) == 1
+            if not same or tip.falls not in {None, first.falls}:
+                own, other = (f"steps of {t.resolution:g} {t.unit}, range {t.range}" for t in (tip, first))
+                reason = f"has {own}, but {one.name} has {other}: export them separately"
+                raise InputError(str(session.folder), reason)
 
 
 def _all_finite(values: NDArray[np.floating[Any]]) -> Flags:

@@ -9,11 +9,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from operators.batch import Motion, ms
+from operators.batch import Labelled, Motion, ms
 from operators.errors import InputError
-from storage import Session
+from operators.fingertip import TAKKTILE, Fingertip, grid
+from storage import Dataset, Session
 from storage.exports.lerobot import export
-from tests.storage.made import new_samples, record
+from tests.storage.made import new_run, new_samples, record, run_sink
 
 
 @dataclass
@@ -178,6 +179,31 @@ def test_the_rate_is_that_of_the_samples_and_a_higher_one_is_refused(tmp_path: P
     with pytest.raises(InputError, match="one: has samples of one time only: give a rate"):
         export([single], tmp_path / "single")
     assert export([single], tmp_path / "single", rate=100).frames == 1
+
+
+@pytest.mark.parametrize(
+    ("tip", "reason"),
+    [
+        (Fingertip(grid(6), 100.0, "kPa", 0.01), r"has steps of 0.01 kPa, .*, but one has steps of 1 count"),
+        (Fingertip(grid(6), 100.0, range=(0, 1023)), r"\(0, 1023\), but one has .* \(1023, 0\)"),
+        (Fingertip(grid(6), 100.0, range=(4095, 0)), r"\(4095, 0\), but one has .* \(1023, 0\)"),
+        (Fingertip(grid(6), 100.0), None),
+    ],
+)
+def test_counts_of_other_units_and_directions_are_not_mixed(
+    tmp_path: Path, tip: Fingertip, reason: str | None
+) -> None:
+    sessions = list[Session]()
+    for name, each in {"one": TAKKTILE, "two": tip}.items():
+        run = new_run(name)
+        run.fingertips = {str(tmp_path): {Labelled: each}}
+        run_sink(Dataset(tmp_path), run, [new_samples(np.arange(10) * 10 * ms)])
+        sessions.append(Session.open(tmp_path / "sessions" / name))
+    if reason is None:
+        assert export(sessions, tmp_path / "out").episodes == 2
+    else:
+        with pytest.raises(InputError, match=reason):
+            export(sessions, tmp_path / "out")
 
 
 def test_the_name_of_the_folder_may_contain_the_characters_of_a_pattern(tmp_path: Path) -> None:
