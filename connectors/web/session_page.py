@@ -134,7 +134,7 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips]):
             "detector": self.detector,
             "recorded": self.recorded,
             "start": self.start / ms,
-            "length": (self.end - self.start) / ms,
+            "length": 10 * ((self.end - self.start) // (10 * ms) + 1),  # a step of the slider after it
             "threshold": self.rule.threshold,
             "events": self._events_json(self._events),
             "bands": self.bands,

@@ -88,7 +88,7 @@ async def test_a_late_row_and_an_early_one_are_in_the_windows_of_their_times(kee
         assert [row[0] for row in window["v"]] == [-time for time in window["t"]]
 
 
-async def test_the_contents_have_the_length_and_the_events_in_order_of_time(keep: Keep) -> None:
+async def test_the_contents_end_after_the_newest_row_and_have_the_events_in_order_of_time(keep: Keep) -> None:
     batches: list[Zeroed | Slips] = [
         touched(START, -300),
         touched(START + 50 * ms, -300),
@@ -96,7 +96,7 @@ async def test_the_contents_have_the_length_and_the_events_in_order_of_time(keep
         *[slip(START + at * ms, state, finger=2) for at, state in ((5, 1), (40, 0))],
     ]
     contents: dict[str, Any] = {**(await keep(*batches)).contents()}
-    assert (contents["session"], contents["start"], contents["length"]) == ("one", 90_000, 50)
+    assert (contents["session"], contents["start"], contents["length"]) == ("one", 90_000, 60)
     assert contents["threshold"] == 0.5
     names = ("id", "t", "finger", "onset")
     assert [tuple(event[name] for name in names) for event in contents["events"]] == [
