@@ -105,13 +105,13 @@ def run_sink(dataset: Dataset, run: Run, batches: Iterable[Any]) -> None:
     asyncio.run(main())
 
 
-def write_pad(root: Path) -> Session:
+def write_pad(root: Path, fingers: Sequence[int] = (0,)) -> Session:
     """Write a session of 9 cells in steps of 0.01 kPa at 50 Hz: 2.4 s unloaded, 1.6 s at 7.47 kPa."""
     run, row = new_run(), np.arange(200)
     run.fingertips = {str(root): {Touch: Fingertip(grid(9), 50.0, "kPa", 0.01, (0, 4000))}}
     counts = np.where(row < 120, 20, 767).astype(np.int16)[:, None] + np.zeros(9, np.int16)
-    touch = Touch(run.start + row * 20 * ms, counts, np.zeros_like(counts), counts > 0, finger=0)
-    write(root, run, [touch]).close()
+    values = run.start + row * 20 * ms, counts, np.zeros_like(counts), counts > 0
+    write(root, run, [Touch(*values, finger=finger) for finger in fingers]).close()
     return Session.open(root)
 
 

@@ -35,11 +35,11 @@ export class Pads {
     this.#mark(null);
   }
 
-  // Show the state of a fingertip: slip, no slip, or unknown.
+  // Show the state of a fingertip: slip, no slip, or neither.
   state(finger, state) {
     const pad = this.pads.get(finger);
     pad?.box.classList.toggle("slips", state === "slip");
-    if (pad) write(pad.now, state === "unknown" ? "–" : state);
+    if (pad) write(pad.now, state === "slip" || state === "no slip" ? state : "–");
   }
 
   // Show the value of each cell (null: invalid) and its faults; `share` maps a value to the colour ramp, 0 to 1.

@@ -125,7 +125,7 @@ def test_the_threshold_slider_shows_what_debounce_finds(watched: Watched, served
 def test_a_fingertip_without_a_detector_is_shown_in_its_unit_and_labelled(
     watched: Watched, tmp_path: Path, width: int
 ) -> None:
-    tab, session = watched.tab, write_pad(tmp_path)
+    tab, session = watched.tab, write_pad(tmp_path, fingers=(0, 1))
     tab.set_viewport_size(ViewportSize(width=width, height=844))
     with ServedRecording(load(session, "none")) as served:
         tab.goto(served.url)
@@ -142,7 +142,8 @@ def test_a_fingertip_without_a_detector_is_shown_in_its_unit_and_labelled(
         tab.keyboard.press("Control+s")
         expect(tab.locator("#label-state")).to_have_text("1 span, saved as version 1")
         assert sideways(tab) == 0
-        controls = tab.locator("button:visible, input:visible")
+        assert tab.locator(".fingertips").evaluate("each => each.scrollWidth - each.clientWidth") == 0
+        controls = tab.locator("button:visible, input:not([type=radio]):visible")
         least: float = controls.evaluate_all("all => Math.min(...all.map((each) => each.offsetHeight))")
         assert least >= (40 if width < 900 else 24)
         bands, save = tab.locator("#bands").bounding_box(), tab.locator("#label-save").bounding_box()
