@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from shlex import join
 from typing import Annotated
 
 import typer
@@ -65,9 +66,10 @@ def report(folder: Path) -> list[str]:
         median, p90 = (np.quantile(found.delays, (0.5, 0.9)) / ms).tolist()
         lines.append(f"onset delay: median {median:.0f} ms, p90 {p90:.0f} ms")
     python = Path(sys.executable)
+    code = f'import polars; print(polars.read_parquet("{folder}/samples/*.parquet"))'
     return [
         *lines,
         "to view the recording, or to open it in Python:",
-        f"  {python.parent}/slipflow show {folder}",
-        f"  {python} -c \"import polars; print(polars.read_parquet('{folder}/samples/*.parquet'))\"",
+        f"  {join([f'{python.parent}/slipflow', 'show', str(folder)])}",
+        f"  {join([str(python), '-c', code])}",
     ]

@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 from pathlib import Path
+from shlex import split
 from time import monotonic, sleep
 
 import pytest
@@ -17,7 +18,7 @@ from tests.waiting import PATIENCE, wait_until
 
 
 def test_the_demo_serves_its_page_and_reports_what_it_detected(tmp_path: Path) -> None:
-    command = [*SLIPFLOW, "demo", "--for", "10min", "--out", str(tmp_path / "recordings")]
+    command = [*SLIPFLOW, "demo", "--for", "10min", "--out", str(tmp_path / "of the demo")]
     log = tmp_path / "log"
     with log.open("w") as file:  # a pipe that nobody reads would stop the demo
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=file, text=True)
@@ -44,6 +45,9 @@ def test_the_demo_serves_its_page_and_reports_what_it_detected(tmp_path: Path) -
         process.kill()
     assert process.returncode == 0
     assert re.search(r"\d+ true slips: \d+ detected, \d+ missed", output)
+    show, python = (split(line) for line in output.splitlines() if re.search(" show | -c ", line))
+    assert Path(show[-1]).parent == tmp_path / "of the demo" / "sessions"
+    assert "counts" in subprocess.run(python, stdout=subprocess.PIPE, text=True, check=True).stdout
 
 
 def test_ctrl_c_ends_the_compilation_of_a_demo_at_once(
