@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dis import get_instructions
 from functools import cache
-from types import CodeType, FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, Final, TypeVar, cast
 
 import numpy as np
@@ -95,18 +95,23 @@ def _argument_type(value: object) -> Any:
 def content_name(function: FunctionType, names: dict[FunctionType, str]) -> str:
     """Return the name of a compiled function, the key in the cache: it depends on all that is compiled in."""
     if function not in names:
-        text, loaded = _contents(function.__code__)
-        read = [_content(function.__globals__.get(name), names) for name in loaded]
+        code = function.__code__
+        text, loaded = _contents(code)
+        read = [_content(function.__globals__.get(name), names, code.co_names) for name in loaded]
         parts = [function.__module__, text, *loaded, *read]
         names[function] = f"{function.__name__}_{zlib.crc32(repr(parts).encode()):x}"
     return names[function]
 
 
-def _content(value: object, names: dict[FunctionType, str]) -> str:
-    """Return a value that is compiled in as text: a function, a number or a module of Python or numpy."""
+def _content(value: object, names: dict[FunctionType, str], read: Sequence[str] = ()) -> str:
+    """Return a value that is compiled in as text; of a module or an enumeration, what may be `read` of it."""
     if isinstance(helper := getattr(value, "py_func", value), FunctionType):
         return content_name(helper, names)
-    return _ADDRESS.sub("", repr(value))
+    if isinstance(value, np.ndarray):  # whose repr is shortened
+        return f"{value.dtype} {value.shape} {zlib.crc32(value.tobytes()):x}"
+    parts = [getattr(value, name, None) for name in read] if isinstance(value, ModuleType | type) else []
+    known = [_content(each, names) for each in parts if not isinstance(each, FunctionType)]
+    return _ADDRESS.sub("", repr((value, *known)))
 
 
 def _linked(

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 from errno import ENOSPC
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any, cast
 from unittest.mock import Mock
 
@@ -112,12 +112,21 @@ def _reads(text: str, **scope: object) -> FunctionType:
     return _function(f"def run(rows):\n    return {text} * rows[0].x", **scope)
 
 
+def _module(**content: object) -> ModuleType:
+    module = ModuleType("gains")
+    vars(module).update(content)
+    return module
+
+
 CHANGES: dict[str, Callable[[int], FunctionType]] = {
     "constant": lambda v: _function(f"def run(rows):\n    return {v}.5"),
     "column": lambda v: _function(f"def run(rows):\n    return rows[0].{'_xy'[v]}"),
     "builtin": lambda v: _function(_HELPED, help={1: math.cos, 2: math.sin}[v]),
     "helper": lambda v: _function(_HELPED, help=_helper(f"x + {v}")),
     "number": lambda v: _reads("GAIN", GAIN=v + 1.0),
+    "number in a module": lambda v: _reads("gains.GAIN", gains=_module(GAIN=v + 1.0)),
+    "number in a long table": lambda v: _reads("TABLE[1500]", TABLE=np.arange(3000.0) + v),
+    "compiled helper in a module": lambda v: _reads("help.add(1)", help=_module(add=_compiled(f"x + {v}"))),
     "helper of a compiled helper": lambda v: _function(
         _HELPED, help=_compiled("inner(x)", inner=_compiled(f"x + {v + 2}"))
     ),
