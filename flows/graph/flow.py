@@ -87,7 +87,8 @@ class Flow:
         _check_part(self, Sink, sink, stream)
         for node, known in self.sinks().items():
             if known is sink:
-                node.inputs.append(stream)
+                if stream not in node.inputs:  # else it would get each row twice
+                    node.inputs.append(stream)
                 return
         self.add(type(sink).__name__.lower(), sink, stream)
 

@@ -28,6 +28,12 @@ def test_replacing_parts_leaves_the_flow_as_it_was() -> None:
     assert str(flow) == drawn
 
 
+def test_a_stream_that_is_sent_to_one_sink_twice_reaches_it_once() -> None:
+    flow, sink = Flow("f"), TestSink()
+    scores = flow.source(TestSource(Scores)).to(sink).to(sink)
+    assert [node.inputs for node in flow.sinks()] == [[scores.node]]
+
+
 def test_an_operator_or_source_in_the_place_of_a_stream_is_an_error_that_says_what_to_write() -> None:
     flow = Flow("f")
     touch, motion = flow.source(TestSource(Touch)), flow.source(TestSource(Motion))
