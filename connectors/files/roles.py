@@ -168,14 +168,16 @@ def cell_groups(names: Sequence[str]) -> list[CellGroup]:
             numbers = tuple(int(each) for each in match.group(2, 4) if each)
             found.setdefault((match[1], match[3] or "", match[5], unit), {})[numbers] = name
     groups = list[CellGroup]()
-    for (before, _, after, _unit), members in found.items():
+    words = {_word(name): name for name in names if not any(_has_usual_name(each, name) for each in _NAMES)}
+    for (before, _, after, unit), members in found.items():
         numbered = sorted(members)
         axes = [sorted({*numbers}) for numbers in zip(*numbered, strict=True)]
         whole = all(axis[0] <= 1 and axis == [*range(axis[0], axis[-1] + 1)] for axis in axes)
         if whole and prod(map(len, axes)) == len(numbered) <= CELL_LIMIT:
             names, rows = tuple(members[key] for key in numbered), len(axes[0]) if len(axes) > 1 else 0
             sure = bool(_CELL.fullmatch(_word(before)) and _READING.fullmatch(_word(after)))
-            groups.append(CellGroup(names, rows, sure))
+            first = words.get(_word(before + after + unit)) if numbered[0] == (1,) else None  # p, p.1, p.2
+            groups.append(CellGroup((*filter(None, [first]), *names), rows, sure))
     return groups
 
 
@@ -269,7 +271,7 @@ def _usual(quantity: str, free: Sequence[str], table: RawTable) -> tuple[str, ..
             table.add_problem(f"{text}; state velocity=...", about=quantity)
         return tuple(each[0] for each in found[:size])
     names = [name for name in free if _has_usual_name(quantity, name)]
-    names = ["t"] if "t" in names else names  # T may be a temperature
+    names = [each for each in names if each != "T" or "t" not in names]  # it may be a temperature
     if len(names) > 1:
         text = f"columns {' and '.join(names)} may be {quantity}; state one, as {quantity}={names[0]}"
         table.add_problem(text, about=quantity)
@@ -291,7 +293,7 @@ def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:
     """Return the cells: the only group of columns with a usual name; groups of one column only if alone."""
     sure = [group for group in groups if group.sure]
     sure = [group for group in sure if len(group.names) > 1] or sure
-    if len(sure) == 1:
+    if len(sure) == 1 and re.search(r"\d", sure[0].names[0]):  # else the first may be their sum
         return _matched(COUNTS, sure[0].names, table)
     several = [shortened(group.names) for group in sure or groups]
     of_each = ",".join(f"counts.{finger}={names}" for finger, names in enumerate(several))

@@ -79,6 +79,8 @@ def test_names_of_row_and_column_give_the_layout(name: str) -> None:
         (tuple(f"p{k}" for k in range(129)), "NAME,NAME"),  # more than a fingertip has
         (tuple(f"{row}{k}" for row in "ABC" for k in (1, 2)), "NAME,NAME"),  # one row, or all?
         (("tip, kPa", "side, kPa"), "tip? kPa,side? kPa"),
+        *((tuple(names.split(",")), names) for names in ("p,p.1,p.2", "p,p_1")),  # p may be their sum
+        (("p [kPa]", "p 1 [kPa]"), "p [kPa],p 1 [kPa]"),
     ],
 )
 def test_other_columns_are_no_fingertip(names: tuple[str, ...], counts: str) -> None:
@@ -104,6 +106,7 @@ def test_a_temperature_is_no_cell_even_if_it_is_mapped() -> None:
             ("t1", "time", "stamp", *CELLS),
             "columns time and stamp may be time; state one, as time=time; try --map time=",
         ),
+        (("time", "t", *CELLS), "columns time and t may be time; state one, as time=time"),
         (
             ("t", *CELLS, *(f"c{i}" for i in range(6))),
             "may be the cells; state counts=..., or of 2 fingertips counts.0=s1..s6,counts.1=c0..c5",
