@@ -149,6 +149,18 @@ def test_a_value_for_no_reading_does_not_make_a_quiet_signal_constant(value: flo
     assert "row 40, column p1 is" in found.warnings[0]
 
 
+@pytest.mark.parametrize("rates", [(60, 125), (60, 500), (100, 30)])
+def test_rows_of_streams_that_were_merged_are_refused_and_lost_rows_are_not(rates: tuple[int, int]) -> None:
+    rows = sorted((k / rate, rate == rates[0]) for rate in rates for k in range(3 * rate))
+    readings = [500 + k % 3 if own else None for k, (_, own) in enumerate(rows)]
+    frame = {"t": [time for time, _ in rows], "p0": readings}
+    with pytest.raises(InputError, match=r"column p0 has no reading in .* rows, in turn with others"):
+        interpreted(frame, ColumnMap.parse("counts=p0"))
+    lost = [None if 100 < k < 400 or k % 20 == 5 else 500 + k % 3 for k in range(600)]
+    [part] = interpreted({"t": np.arange(600) / 100, "p0": lost}, ColumnMap.parse("counts=p0"))
+    assert part.columns.rate == pytest.approx(100)
+
+
 @pytest.mark.parametrize(
     ("usual", "rare", "missing"),
     [(3.0, 99.0, ()), (3.0, 999.0, ()), (99.9, -999.0, (-999,)), (9999.0, -999.0, (-999,))],
