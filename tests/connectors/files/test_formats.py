@@ -241,8 +241,10 @@ def test_a_stated_rate_that_the_rows_miss_is_a_warning_only_if_gaps_show_the_los
     assert trace([k / 100 for k in range(600)], "rate=95").columns.rate == 95
 
 
-def test_times_in_whole_seconds_are_no_pauses() -> None:
-    assert not any("pauses" in each for each in trace([k // 100 for k in range(1001)]).warnings)
+def test_times_in_whole_seconds_are_refused_and_bursts_are_no_pauses() -> None:
+    with pytest.raises(InputError, match="column t has only 30 values in 3000 rows, 1 s apart: it tells no"):
+        trace([k // 100 for k in range(3000)])
+    assert not any("pauses" in each for each in trace([k // 20 / 5 for k in range(1001)]).warnings)
 
 
 @pytest.mark.parametrize(
