@@ -9,7 +9,6 @@ import sys
 import time
 import tomllib
 from pathlib import Path
-from shutil import which
 from typing import Any
 
 import pytest
@@ -21,7 +20,6 @@ from connectors.mqtt.broker import CA, CERTIFICATE, PASSWORD_FILE
 from flows.graph.loading import load
 from flows.graph.validation import problems
 from flows.run.live_runner import CHECK_INTERVAL
-from storage.files import lock
 from tests.command import captured
 from tests.deploy.shipped import DEPLOY, LEFT_OUT, PAGE
 
@@ -237,22 +235,19 @@ def test_password_and_certificates_reach_the_sink_as_credentials() -> None:
     assert all(f" {place}" in PAGE for place in loaded.values())
 
 
-@pytest.mark.skipif(not which("systemd-tmpfiles"), reason="needs systemd-tmpfiles")
-def test_old_sessions_are_deleted_unless_they_are_being_recorded(tmp_path: Path) -> None:
-    rule = (DEPLOY / "systemd/tmpfiles.conf").read_text().replace("/var/lib/slipflow", str(tmp_path))
-    (tmp_path / "rule.conf").write_text(rule)
-    sessions, month = tmp_path / "recordings/sessions", time.time() - 40 * 86400
-    for name in ("old", "new", "recorded"):
-        (sessions / name / "touch").mkdir(parents=True)
-        for path in (sessions / name / "session.json", sessions / name / "touch/part-000000.parquet"):
+def test_old_sessions_are_deleted_as_a_whole(tmp_path: Path) -> None:
+    service, container = re.findall(r"/recordings/sessions (-mindepth .*)", PAGE)
+    assert service == container
+    month = time.time() - 40 * 86400
+    for name in ("old", "new", "recorded"):  # the last one for more than a month
+        (tmp_path / name / "touch").mkdir(parents=True)
+        for path in (tmp_path / name / "MANIFEST.json", tmp_path / name / "touch/part-000000.parquet"):
             path.touch()
-        for path in () if name == "new" else (*sorted((sessions / name).rglob("*"))[::-1], sessions / name):
+        for path in () if name == "new" else (*(tmp_path / name).rglob("*"), tmp_path / name):
             os.utime(path, (month, month))
-    held = lock(sessions / "recorded")
-    assert held is not None
-    subprocess.run(["systemd-tmpfiles", "--clean", tmp_path / "rule.conf"], check=True)
-    os.close(held)
-    assert {path.name: len(list(path.rglob("*"))) for path in sessions.iterdir()} == {"new": 3, "recorded": 3}
+    (tmp_path / "recorded/MANIFEST.json").replace(tmp_path / "recorded/MANIFEST.json.new")
+    subprocess.run(["find", tmp_path, *shlex.split(service)], check=True)
+    assert {path.name: len(list(path.rglob("*"))) for path in tmp_path.iterdir()} == {"new": 3, "recorded": 3}
 
 
 def test_the_shipped_settings_match_the_shipped_flow() -> None:
