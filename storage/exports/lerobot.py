@@ -215,10 +215,11 @@ def _frame_rate(sessions: Sequence[Session], wanted: int | None) -> int:
 def _frames(session: Session, rate: int, contents: _Contents) -> tuple[Values, Times, Flags]:
     """Return the frames of a session, their times (n,) ns, and whether every fingertip has a sample (n,)."""
     samples = [_rows(session, Labelled, finger) for finger in contents.fingers]
-    begin = sum(int(each.time[0]) for each in samples) // len(samples)
-    last = min(int(each.time[-1]) for each in samples)
+    half, firsts = s // (2 * rate), [int(each.time[0]) for each in samples]
+    latest, last = max(firsts), min(int(each.time[-1]) for each in samples)
+    phases = [(first - latest + half) % (2 * half) - half for first in firsts]  # ns, of the frames' interval
+    begin = latest + sum(phases) // len(phases)  # in the middle of the samples of one instant
     time = begin + np.arange(max(last - begin, 0) * rate // s + 2) * s // rate  # (n,) the grid
-    half = s // (2 * rate)
     near = [_nearest(each.time, time, half) for each in samples]
     hands = session.hand_labels()
     values, cells, valid, labels = Values(), list[NDArray[Any]](), list[Flags](), list[NDArray[Any]]()

@@ -122,6 +122,14 @@ def test_frames_have_the_values_of_the_sessions(tmp_path: Path) -> None:
     assert (done.episodes, done.frames, done.repeated) == (1, 60, 0)
 
 
+@pytest.mark.parametrize("later", [0, 10, 12, 10_010])  # ms
+def test_no_sample_is_lost_if_a_fingertip_begins_later(tmp_path: Path, later: int) -> None:
+    jitter = np.random.default_rng(0).integers(-300_000, 300_000, (2, 2000))  # ns
+    one, other = np.arange(2000) * 10 * ms + np.array([[0], [later * ms]]) + jitter
+    done = export([record(tmp_path, [new_samples(one), new_samples(other, finger=1)])], tmp_path / "out")
+    assert (done.frames, done.repeated) == (2000 - (later + 5) // 10, 0)
+
+
 def test_a_frame_without_a_sample_repeats_the_values_before_it_and_says_so(tmp_path: Path) -> None:
     time = np.delete(np.arange(60) * 10 * ms, [20, 21, 22])
     other = new_samples(np.arange(60) * 10 * ms, finger=1)
