@@ -48,6 +48,7 @@ def show(
     """
     from connectors.web.web_server import page_server
     from storage import Session
+    from storage.layout import SESSIONS
 
     host, port = parse_address("--listen", listen) if listen else ("127.0.0.1", None)
     server = page_server(host, port)  # raises an error before a long session is read
@@ -55,7 +56,8 @@ def show(
     detector = detector or _fitting(opened)
     asyncio.run(_show(opened, detector, server, browse=not no_browser))
     if detector == _NONE:
-        dataset = opened.folder.absolute().parent.parent
+        alone = opened.folder.absolute()
+        dataset = alone.parent.parent if alone.parent.name == SESSIONS else alone
         note(f"next: slipflow train {quote(str(dataset))} -o {quote(dataset.name)}.safetensors")
 
 

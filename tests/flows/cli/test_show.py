@@ -52,8 +52,12 @@ def test_a_session_is_shown_with_recorded_slips_and_new_scores(session: Session)
     assert seen["scores 0"]["v"][0] >= recorded.rule.threshold
 
 
-def test_a_fingertip_that_the_default_was_not_made_for_is_shown_without_scores(tmp_path: Path) -> None:
-    write_pad(tmp_path)
+@pytest.mark.parametrize("alone", [False, True])  # True: a copy of the session, without its dataset
+def test_a_fingertip_that_the_default_was_not_made_for_is_shown_without_scores(
+    tmp_path: Path, *, alone: bool
+) -> None:
+    folder = write_pad(tmp_path).folder
+    folder = folder.rename(tmp_path / "one") if alone else folder
     with socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
@@ -69,11 +73,12 @@ def test_a_fingertip_that_the_default_was_not_made_for_is_shown_without_scores(t
 
     with ThreadPoolExecutor(1) as pool:
         visited = pool.submit(visit_and_end)
-        done = slipflow("show", ".", "--listen", address, "--no-browser", cwd=tmp_path / "sessions" / "one")
+        done = slipflow("show", ".", "--listen", address, "--no-browser", cwd=folder)
     about = visited.result()
     assert (about["detector"], about["recorded"], about["events"]) == (None, False, [])
     assert done.returncode == 0
     line = done.stderr.splitlines()[0]
     assert re.match(r"one: shown without scores: tcn needs 6 cells, .*; the data has 9 cells, .*kPa", line)
     assert "train a detector with `slipflow train`, or give one with --detector FILE" in line
-    assert f"next: slipflow train {tmp_path} -o {tmp_path.name}.safetensors" in done.stderr
+    data = folder if alone else tmp_path
+    assert f"next: slipflow train {data} -o {data.name}.safetensors" in done.stderr
