@@ -109,15 +109,16 @@ export class Labels {
   }
 
   #key(event) {
-    const key = event.key.toLowerCase(), control = event.ctrlKey || event.metaKey, saves = control && key === "s";
-    if ((event.target.closest(TAKES_KEYS) && !saves) || event.altKey) return;
+    const key = event.key.toLowerCase(), edges = key === "[" || key === "]"; // on some keyboards with Alt or AltGr
+    const control = event.metaKey || (event.ctrlKey && !event.altKey), saves = control && key === "s";
+    if ((event.target.closest(TAKES_KEYS) && !saves) || (event.altKey && !edges)) return;
     if (control) {
       if (key === "z") this.undo();
       else if (saves) this.save();
       else return;
     } else if (key in KEYS) this.mark(KEYS[key]);
     else if (key === "delete") this.mark(null);
-    else if (key === "[" || key === "]") this.edge(key === "]" ? 1 : 0);
+    else if (edges) this.edge(key === "]" ? 1 : 0);
     else return;
     event.preventDefault();
   }
