@@ -4,7 +4,7 @@ import { CODES } from "./bands.js";
 import { $, write } from "./dom.js";
 
 const KEYS = { s: "slip", t: "static", u: "unknown", e: null }; // null: erase
-const TAKES_KEYS = "input:not([type=range]), select, textarea";
+const TAKES_KEYS = "input:not([type=range], [type=radio]), select, textarea";
 const AUTHOR = "slipflow-author"; // in the browser's storage
 
 export class Labels {

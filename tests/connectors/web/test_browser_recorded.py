@@ -139,8 +139,10 @@ def test_a_fingertip_without_a_detector_is_shown_in_its_unit_and_labelled(
             expect(tab.locator(hidden)).to_be_hidden()
         drag(tab, tab.locator("#bands"), 0.25, 1.0)
         tab.keyboard.press("s")
+        tab.get_by_role("radio", name="Fingertip 1").check()
+        tab.keyboard.press("t")
         tab.keyboard.press("Control+s")
-        expect(tab.locator("#label-state")).to_have_text("1 span, saved as version 1")
+        expect(tab.locator("#label-state")).to_have_text("2 spans, saved as version 1")
         assert sideways(tab) == 0
         assert tab.locator(".fingertips").evaluate("each => each.scrollWidth - each.clientWidth") == 0
         controls = tab.locator("button:visible, input:not([type=radio]):visible")
@@ -150,9 +152,10 @@ def test_a_fingertip_without_a_detector_is_shown_in_its_unit_and_labelled(
         assert bands
         assert save
         assert 0 < save["y"] + save["height"] - bands["y"] < 844, "a screen shows both"
-        expect(tab.locator("h1")).to_have_text("Fingertip 0No detector")
-    [label] = session.hand_labels().spans
-    assert (label.value, label.end > START + 5 + 3980 * ms) == ("slip", True), "the last row is labelled"
+        expect(tab.locator("h1")).to_have_text("Fingertip 1No detector")
+    found = session.hand_labels().spans
+    assert [(each.finger, each.value) for each in found] == [(0, "slip"), (1, "static")]
+    assert all(each.end > START + 5 + 3980 * ms for each in found), "the last row is labelled"
 
 
 def test_spans_are_marked_corrected_undone_and_saved_as_versions(
