@@ -193,8 +193,7 @@ class _SessionCheck:
         written = [sink["rows"] for sink in sinks.values() if sink.get("records")]
         found = sum(part.rows for part in self.listed.values())
         if len(written) == 1 and found < written[0]:  # several sinks are several datasets
-            text = f"{written[0] - found:,} of the {written[0]:,} recorded rows are in no part"
-            self._add("lost", text)
+            self._add("lost", f"{written[0] - found:,} of the {written[0]:,} recorded rows are in no part")
         for name, stream in cast("dict[str, dict[str, Any]]", about.get("streams", {})).items():
             for gap in stream["gaps"]:
                 seconds = (gap["end"] - gap["start"]) / s

@@ -226,8 +226,7 @@ def _frames(session: Session, rate: int, contents: _Contents) -> tuple[Values, T
     for finger, each, (row, there) in zip(contents.fingers, samples, near, strict=True):
         cells.append(forward_fill(each.counts, each.valid)[row])
         valid.append(each.valid[row] & there[:, None])
-        label = hands.replace(each.label, each.time, finger)
-        labels.append(np.where(there, label[row], UNKNOWN))
+        labels.append(np.where(there, hands.replace(each.label, each.time, finger)[row], UNKNOWN))
     whole = np.logical_and.reduce([there for _, there in near])  # (n,)
     known = whole.copy()
     values[STATE] = np.concatenate(cells, axis=1).astype(np.float32)  # (n, fingers * cells)
