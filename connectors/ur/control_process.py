@@ -170,8 +170,6 @@ class _Commander:
                 self.stop()
             case Signal.RELEASE:
                 self._end_velocity()
-            case _:
-                pass
         if not done:
             raise RuntimeError(f"the controller rejects the command {type(command).__name__}")
 

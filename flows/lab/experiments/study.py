@@ -89,9 +89,7 @@ class Method:
             FingertipError: if it was made for another fingertip than the simulated one.
         """
         name = self.detector
-        threshold = THRESHOLDS.get(name)
-        if threshold is None:
-            threshold = load_debounce(name).threshold
+        threshold = THRESHOLDS.get(name) or load_debounce(name).threshold
         detector = StepThreshold() if name == "threshold" else load_detector(name)
         detector = Score(detector).for_fingertip(TAKKTILE).detector
         if self.rule == STEPS:

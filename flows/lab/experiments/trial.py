@@ -138,9 +138,8 @@ class Trial:
     def hold(self, taps: Sequence[Tap], seconds: float) -> "Trace":
         """Simulate a firm lift with constant force, without a detector: `Trace.scored` adds its scores."""
         grasp = self.grasp(FIRM_LIFT, taps)
-        grasp.press(
-            quantize(self.firm * self.least_force), BASELINE - 1 / SCANS
-        )  # when a controller first commands
+        force = quantize(self.firm * self.least_force)  # N
+        grasp.press(force, BASELINE - 1 / SCANS)  # when a controller first commands
         return simulate(grasp, _instants(self.conditions, SCANS, seconds))
 
 

@@ -157,7 +157,7 @@ def test_a_rejected_command_ends_the_process(pipe: tuple[Connection, Connection]
 
 @pytest.mark.virtual
 async def test_the_pipe_to_a_process_that_starts_does_not_fill_up() -> None:
-    client, (ours, theirs) = ControlClient("robot", 5.0, str), multiprocessing.Pipe()
+    client, (ours, theirs) = ControlClient("robot", 5.0, list[str]().append), multiprocessing.Pipe()
     client._pipe, client._replied = ours, 10.0
     keeping = asyncio.create_task(client.keep_alive())
     await asyncio.sleep(1.0)
