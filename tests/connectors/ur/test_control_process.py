@@ -1,5 +1,7 @@
 import asyncio
 import multiprocessing
+import os
+import signal
 from collections.abc import Iterator
 from importlib.util import find_spec
 from itertools import groupby
@@ -136,6 +138,25 @@ def test_the_arm_is_stopped_when_the_commanding_process_is_gone(pipe: tuple[Conn
     ours.close()
     thread.join(10)
     assert ended(control) == ["stopL", "stopScript", "disconnect"]
+
+
+def controlled(_: str) -> MagicMock:
+    return MagicMock()
+
+
+def test_a_signal_to_all_processes_of_a_terminal_does_not_end_it() -> None:
+    ours, theirs = multiprocessing.Pipe()
+    process = multiprocessing.get_context("spawn").Process(
+        target=serve, args=(theirs, "robot", 5.0, controlled)
+    )
+    process.start()
+    assert process.pid
+    assert ours.recv() == Reply("ready")
+    for number in (signal.SIGINT, signal.SIGHUP):
+        os.kill(process.pid, number)
+    ours.send(Signal.END)
+    process.join(PATIENCE)
+    assert process.exitcode == 0
 
 
 def test_the_process_disconnects_even_if_no_stop_is_possible(pipe: tuple[Connection, Connection]) -> None:
