@@ -165,6 +165,7 @@ def replay_all(
         try:
             for each in replays.run(executor, progress=update):
                 if each.error and len(replays.recordings) == 1:
+                    typer.echo(each.printed, nl=False)
                     raise SlipflowError(each.error)
                 done.append(each)
                 _print(each)

@@ -48,6 +48,21 @@ def test_what_a_flow_file_prints_is_printed_once(tiny: Path, tmp_path: Path) -> 
     assert done.stdout.splitlines()[-1].startswith("2 recordings, ")
 
 
+def test_what_a_part_printed_before_its_failure_is_printed(tiny: Path, tmp_path: Path) -> None:
+    flow, found = tmp_path / "loud.py", tiny / "sessions" / session_names(tiny)[0]
+    own = """
+from operators import Faults, Operator, Touch
+class Check(Operator[Touch, Faults]):
+    def process(self, batch: Touch) -> Faults:
+        print("first row", batch.time[0])
+        return 1 / 0
+"""
+    flow.write_text(own + WRONG.replace("Debounce()", "Check()"))
+    done = slipflow("run", flow, "--replay", found)
+    assert re.fullmatch(r"first row \d+\n", done.stdout)
+    assert done.stderr.endswith("loud.py:6)\n")
+
+
 def test_a_dataset_is_compiled_for_once_and_each_recording_has_its_error(tiny: Path, tmp_path: Path) -> None:
     two, flow = [tiny / "sessions" / name for name in session_names(tiny)[:2]], tmp_path / "own.py"
     errors = list[str]()
