@@ -56,11 +56,11 @@ class _Fused:
 class _Single:
     """Operator or join with a `process` of its own, for one fingertip."""
 
-    def __init__(self, node: Node, operator: SomeOperator, finger: int) -> None:
+    def __init__(self, node: Node, operator: SomeOperator, finger: int, given: list[RowType]) -> None:
         self.nodes, self.entrances, self._operator = [node], node.inputs, operator
         self._finger, self._gives = finger, cast("type[Batch]", node.gives)
         self._newest = EARLIEST  # ns, time of the last output row
-        self._empty = [kind.empty() for kind in node.takes]
+        self._empty = [each.kind.unpack(np.empty(0, each.packed), finger) for each in given]
         self._keys = [(parent, finger if finger in parent.fingers else EVERY) for parent in node.inputs]
 
     def push(self, values: Values) -> list[Delivery]:
@@ -260,7 +260,7 @@ class CompiledFlow:
             if steps is None:
                 ranks[node] = 1 + max(ranks[parent] for parent in node.inputs)
                 singles = zip(operators, node.fingers, strict=True)
-                units += [(ranks[node], _Single(node, operator, finger)) for operator, finger in singles]
+                units += [(ranks[node], _Single(node, each, finger, given)) for each, finger in singles]
                 continue
             fused[node] = steps
             ranks[node] = max(

@@ -36,9 +36,10 @@ from operators import (
 )
 from operators.batch import Counts, Reals
 from operators.detectors import Psd
+from operators.fingertip import Fingertip, grid
 from operators.operator import output_type
 from operators.steps import Record, RowType, Steps
-from tests.flows.run.live import flow_of
+from tests.flows.run.live import Described, flow_of
 from tests.operators import test_conformance as suite
 from tests.storage.made import same
 
@@ -233,6 +234,20 @@ def test_a_join_sees_rows_that_an_operator_held_back_as_late_as_row_by_row() -> 
             batch for each in pieces for _, batch in compiled.push({compiled.entries[0]: each})
         ]
         assert concat(Scores, found).probability[:6].round(2).tolist() == expected
+
+
+class AtMotion(Join[Touch, Motion, Touch]):
+    def process(self, left: Touch, right: Motion) -> Touch:
+        cells = np.resize(left.counts, (len(right), left.cells))
+        return Touch.rows(right.time, cells, cells, True, finger=left.finger)
+
+
+def test_the_empty_batch_of_a_join_has_cells_and_fingertip_of_its_stream() -> None:
+    flow = Flow("f")
+    touch = flow.source(Described(Fingertip(grid(9), 100.0), fingers=(0, 1)))
+    (touch & flow.source(TestSource(Motion)) | AtMotion()).to(TestSink())
+    found = outputs(CompiledFlow(flow), [{2: Motion.rows([5], 0, 1, 1)}])
+    assert [(finger, each.cells) for finger, [each] in found.items()] == [(0, 9), (1, 9)]
 
 
 def passing(kind: type[Batch]) -> Operator[Any, Any]:
