@@ -160,8 +160,9 @@ class Fingertip:
             has.append(other + (_DIRECTIONS[given.falls] if turned else ""))
         if cells or scaled:
             groups = "groups=..." if cells else ""
-            gain = f"gain=..., unit={self.unit!r}" if unit != other else "gain=-1" if turned else ""
-            fix.append(f"Pool({', '.join(filter(None, (groups, gain)))})")
+            ratio = given.resolution / self.resolution * (-1 if turned else 1)
+            gain = f"gain={ratio:.15g}" if given.unit == self.unit else f"gain=..., unit={self.unit!r}"
+            fix.append(f"Pool({', '.join(filter(None, (groups, gain if scaled else '')))})")
         if not isclose(given.rate, self.rate, rel_tol=RATE_TOLERANCE):
             needs.append(f"{self.rate:g} Hz")
             has.append(f"{given.rate:g} Hz")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators import Touch, ms, s
+from operators import Pool, Touch, ms, s
 from operators.errors import FingertipError, InputError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid, measured, rows_per_second
 
@@ -61,6 +61,14 @@ def test_a_mismatch_names_the_operators_that_convert_it(given: Fingertip, needs:
     with pytest.raises(FingertipError) as caught:
         TAKKTILE.check_fits("tcn", given)
     assert (caught.value.owner, caught.value.needs, caught.value.fix) == ("tcn", needs, fix)
+
+
+def test_readings_in_other_steps_of_a_unit_fit_after_the_named_pool() -> None:
+    fine = Fingertip(grid(4), 100.0, unit="kPa", resolution=0.01, range=(0, 30000))
+    coarse = replace(fine, resolution=0.1, range=(300, 0))
+    with pytest.raises(FingertipError, match=r": Pool\(gain=-10\) in a flow converts it"):
+        fine.check_fits("own", coarse)
+    fine.check_fits("own", Pool(gain=-10).output_fingertip(coarse))
 
 
 def test_a_rate_within_a_tenth_and_an_unknown_range_fit() -> None:
