@@ -1,9 +1,10 @@
 """The scripts of docs/how-to/import.md read the formats that they name."""
 
 import json
+import sqlite3
 import sys
 from collections.abc import Callable
-from contextlib import chdir
+from contextlib import chdir, closing
 from functools import partial
 from pathlib import Path
 from runpy import run_path
@@ -88,10 +89,18 @@ def write_bag(path: Path, store_name: Stores, writer: Any) -> None:
         write_messages(bag, store, serialize, stamp)
 
 
+def write_humble(path: Path) -> None:
+    """Write a bag as ROS 2 did until Humble, in SQLite and without the types of its messages."""
+    write_bag(path, Stores.ROS2_HUMBLE, partial(Bag2Writer, version=8))
+    with closing(sqlite3.connect(path / "humble.db3")) as database:
+        database.executescript("DROP TABLE message_definitions; UPDATE schema SET schema_version = 3")
+
+
 FILES: dict[str, tuple[str, Callable[[Path], None]]] = {
     **dict.fromkeys(("pad.npz", "pad.mat", "pad.h5"), ("arrays.py", write_arrays)),
     "pad.mcap": ("mcap_json.py", write_mcap),
     "pad.bag": ("bag.py", partial(write_bag, store_name=Stores.ROS1_NOETIC, writer=Bag1Writer)),
+    "humble": ("bag.py", write_humble),
     "mcap": (
         "bag.py",
         partial(
