@@ -111,7 +111,7 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
     free = [name for name in table.columns if name not in taken]
     groups = [group for group in groups if not {*group.names} & {*chain(*_axes(free))}]
     for quantity in SIZES:
-        keys = [key for key in mapped if _quantity(key) == quantity]
+        keys = [key for key in mapped if key.partition(".")[0] == quantity]
         found |= {key: mapped[key] for key in keys}
         moves = quantity in MOTIONS and any(stated.columns.get(key) or found.get(key) for key in MOTIONS)
         if quantity == COUNTS and not keys:
@@ -308,7 +308,7 @@ def _units(found: Mapping[str, Sequence[str]], stated: ColumnMap, table: RawTabl
     """Return the unit of each quantity: stated, in the names or in a row of units; else the usual one."""
     units = dict(stated.units)
     for quantity, usual in UNITS.items():
-        names = [name for key, each in found.items() if _quantity(key) == quantity for name in each]
+        names = [name for key, each in found.items() if key.partition(".")[0] == quantity for name in each]
         if not names or quantity in units:
             continue
         known = dict[str, str]()  # first column by unit
@@ -352,7 +352,7 @@ def _suggested(
         name = next((name for name in free if _rises(table.columns[name])), "")
         items.insert(0, f"time={name}" if name else "rate=ROWS_PER_SECOND")
         free = [each for each in free if each != name]
-    if not any(_quantity(key) == COUNTS for key in columns.columns):
+    if not columns.cell_names:
         values = {name: table.columns[name].cast(pl.Float64, strict=False).unique() for name in free}
         free = [name for name in free if {*values[name]} != {0, 1}]  # those may be labels
         several = [group.names for group in groups if len(group.names) > 1 and {*group.names} <= {*free}]
@@ -375,11 +375,6 @@ def _rises(column: pl.Series) -> bool:
     text = column.str.replace(",", ".", literal=True) if column.dtype == pl.String else column
     steps = text.cast(pl.Float64, strict=False).diff().drop_nulls()
     return is_text_of_time(column) or bool(len(steps) and (steps > 0).all() and (steps != 1).any())
-
-
-def _quantity(key: str) -> str:
-    """Return the quantity of a key such as ``counts.1``."""
-    return key.partition(".")[0]
 
 
 def _word(name: str) -> str:
