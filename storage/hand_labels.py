@@ -71,16 +71,16 @@ class HandLabels:
         return label
 
 
-def read_hand_labels(folder: Path, about: Description, version: int | None = None) -> HandLabels:
-    """Return the newest hand labels of a session, or those of another version, which exists.
+def read_hand_labels(folder: Path, about: Description) -> HandLabels:
+    """Return the newest hand labels of a session.
 
     Raises:
         InputError: if its file is damaged or belongs to another session.
     """
     versions = numbered_files(folder, LABEL_FILES)
-    number = max(versions, default=0) if version is None else version
-    if number == 0:
+    if not versions:
         return HandLabels()
+    number = max(versions)
     path = versions[number]
     content = files.read_checked(path, files.LIST_LIMIT)
     if content.get("format") != FORMAT or content.get("version") != number:

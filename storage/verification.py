@@ -3,7 +3,6 @@
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import Any, Final, Literal, cast
 
@@ -18,16 +17,13 @@ from storage.journal import journal_files
 from storage.layout import (
     DAMAGED,
     JOURNAL,
-    LABEL_FILES,
     MANIFEST,
     SESSION,
     TABLES,
     check_links,
-    file_name,
     files_of,
     may_exist,
     named,
-    numbered_files,
     session_folders,
     table_of,
 )
@@ -137,7 +133,8 @@ class _SessionCheck:
                 extent = f"{part.rows:,} rows, {(part.last - part.first) / s:.1f} s"
                 self._add("lost", f"{error}; it had {extent}")
             yield
-        self._check_hand_labels()
+        with self._losing():
+            read_hand_labels(self.folder, self.about)
         self._check_rest()
 
     def _add(self, weight: Weight, text: str) -> None:
@@ -198,19 +195,6 @@ class _SessionCheck:
             for gap in stream["gaps"]:
                 seconds = (gap["end"] - gap["start"]) / s
                 self._add("note", f"{name} was down for {seconds:.1f} s: {gap['reason']}")
-
-    def _check_hand_labels(self) -> None:
-        """Read all versions of the hand labels, numbered from 1."""
-        with self._losing():
-            versions = numbered_files(self.folder, LABEL_FILES)
-            missing = max(versions, default=0) - len(versions)
-            if missing > 0:
-                path = file_name(LABEL_FILES, next(each for each in count(1) if each not in versions))
-                more = f", and {missing - 1} others" if missing > 1 else ""
-                self._add("lost", f"{path}: is missing, with its labels{more}")
-            for number in versions:
-                with self._losing():
-                    read_hand_labels(self.folder, self.about, number)
 
     def _check_rest(self) -> None:
         """Check what a recovery would find: the journal, unlisted files and missing ones."""
