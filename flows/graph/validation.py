@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import Field, fields
 from functools import cache
 from inspect import getattr_static, iscoroutinefunction, isgeneratorfunction, signature
-from pathlib import Path
 from typing import Any, Final, TypeAlias, cast
 
 import numpy as np
@@ -13,7 +12,7 @@ from flows.graph.flow import Flow
 from flows.graph.node import Node, consumers
 from operators.batch import EVERY, Batch, Touch
 from operators.debounce import Debounce
-from operators.errors import FingertipError, FlowError, ParameterError
+from operators.errors import FingertipError, FlowError
 from operators.fingertip import Fingertip
 from operators.operator import AnyOperator, Join, Operator, input_types, output_type
 from operators.ports import Sink, Source
@@ -22,7 +21,6 @@ from operators.zero import Zero
 
 Problem: TypeAlias = tuple[str, str]  # edge and reason
 
-_STAMP: Final = "20261127T175103.000000Z"  # as in the names of sessions
 _CHAIN: Final[tuple[type[Operator[Any, Any]], ...]] = (Zero, Score, Debounce)
 
 
@@ -42,7 +40,7 @@ def problems(flow: Flow, *, fingertips: bool = True) -> list[FlowError]:
     """Return all problems of a flow; the wiring is checked only if its operators and sinks are valid."""
     parts = _wrong_sources, _wrong_operators, _wrong_sinks
     streams = _no_source, _shared_parts, _wrong_types, _unconnected
-    wiring = *streams, _shared_destinations, _duplicate_streams, _no_session_name
+    wiring = *streams, _shared_destinations, _duplicate_streams
 
     def found(checks: Iterable[Callable[[Flow], Iterator[Problem]]]) -> list[FlowError]:
         return [FlowError(flow.name, *problem) for check in checks for problem in check(flow)]
@@ -99,17 +97,6 @@ def _apart(flow: Flow) -> Iterator[Problem]:
                 has = f"fingertips {sorted(left)} never meet {sorted(right)}"
                 reason = f"{has}: join streams of the same fingertip, or set fingers of the sources"
                 yield f"{' & '.join(parent.name for parent in node.inputs)} -> {node.name}", reason
-
-
-def _no_session_name(flow: Flow) -> Iterator[Problem]:
-    """Find a name that no recorded session can begin with: a run adds the time to it."""
-    from storage.layout import new_session_folder
-
-    if any(sink.records for sink in flow.sinks().values()):
-        try:
-            new_session_folder(Path(), f"{flow.name}-{_STAMP}")
-        except ParameterError as error:
-            yield "its name", f"begins the name of each session, which must be {error.must_be}"
 
 
 def _edge(parent: Node, node: Node) -> str:

@@ -246,12 +246,3 @@ def test_joined_streams_without_common_fingertips_are_named(right: tuple[int, ..
         assert problems(flow) == []
     else:
         assert "one & other -> Compare: fingertips [0] never meet [1]: join " in _one_problem(flow)
-
-
-@pytest.mark.parametrize(("name", "records", "fits"), [("my flow", True, False), ("my flow", False, True)])
-def test_the_name_of_a_flow_that_records_begins_a_file_name(name: str, *, records: bool, fits: bool) -> None:
-    flow, sink = Flow(name), TestSink()
-    sink.records = records
-    flow.source(TestSource(Scores)).to(sink)
-    expected = "its name: begins the name of each session, which must be a file name of at most 128 letters"
-    assert problems(flow) == [] if fits else _one_problem(flow).startswith(expected)
