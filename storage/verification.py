@@ -16,16 +16,12 @@ from storage.hand_labels import read_hand_labels
 from storage.journal import journal_files
 from storage.layout import (
     DAMAGED,
-    JOURNAL,
     MANIFEST,
     SESSION,
-    TABLES,
     check_links,
-    files_of,
     may_exist,
     named,
     session_folders,
-    table_of,
 )
 from storage.parts import Part, read_manifest, read_part
 from storage.recovery import Recovery, scratch_files
@@ -217,14 +213,5 @@ class _SessionCheck:
                 self._add("lossy" if text in recovery.cut else "lost", text)
             for text in recovery.done:
                 self._add("repairable", f"{text}: slipflow verify --repair repairs this")
-        self._check_names()
-
-    def _check_names(self) -> None:
-        """Note files that are not part of the session."""
         for path in scratch_files(self.folder):
             self._add("note", f"{path.name} was left over: slipflow verify --repair deletes it")
-        segments = journal_files(self.folder)
-        for pattern in (*(table.pattern for table in TABLES), f"{JOURNAL}/*"):
-            for path in files_of(self.folder, pattern):
-                if table_of(path.relative_to(self.folder).as_posix()) is None and path not in segments:
-                    self._add("note", f"{path}: is not read: its name is not that of a part or segment")
