@@ -23,10 +23,10 @@ MARGIN: Final = 0.002  # m above the contact plane
 class Label(Operator[Sample, Labelled]):
     """Label each sample as slip, static or unknown by the arm's speed in the contact plane.
 
-    A sample is slip if the planar speed is above `speed` or, unless `rotation` is None, the angular speed is
-    above it. It is unknown if the planar speed is 0.3 m/s or more, or the motion is NaN, as in unmatched
-    rows. The contact plane is perpendicular to the fingertip's z axis. Without a known pose, the fingertip
-    is assumed to be aligned with the base frame.
+    A sample is slip if the planar speed is above `speed` or the angular speed is above `rotation`. It is
+    unknown if the planar speed is 0.3 m/s or more, or the motion is NaN, as in unmatched rows. The contact
+    plane is perpendicular to the fingertip's z axis. Without a known pose, the fingertip is assumed to be
+    aligned with the base frame.
 
     `delay` compensates for arm velocity that lags the barometers: the motion at ``t + delay`` labels the
     touch at t, unless it is older than 20 ms then. A positive delay holds samples back until that motion has
@@ -34,7 +34,7 @@ class Label(Operator[Sample, Labelled]):
 
     Args:
         speed: Planar speed above which a sample is slip, m/s.
-        rotation: Angular speed above which a sample is slip, rad/s, as in the paper; None: ignore rotation.
+        rotation: Angular speed above which a sample is slip, rad/s, as in the paper; inf: ignore rotation.
         delay: Lag of the arm's motion, ns.
 
     Raises:
@@ -50,24 +50,19 @@ class Label(Operator[Sample, Labelled]):
     """
 
     speed: float = 0.003
-    rotation: float | None = 0.2
+    rotation: float = 0.2
     delay: int = 0
 
     def __post_init__(self) -> None:
         check_at_least("Label", "speed", self.speed, 0, "m/s")
         if self.speed >= LIMIT:
             raise ParameterError("Label", "speed", self.speed, f"below {LIMIT:g} m/s")
-        if self.rotation is not None:
-            check_at_least("Label", "rotation", self.rotation, 0, "rad/s")
+        check_at_least("Label", "rotation", self.rotation, 0, "rad/s")
         check_ns("Label", "delay", self.delay)
 
     def steps(self, *given: RowType) -> Steps:
         """Return the step, or with a delay the functions that hold samples back."""
-        settings = {
-            "speed": float(self.speed),
-            "rotation": nan if self.rotation is None else float(self.rotation),
-            "delay": self.delay,
-        }
+        settings = {"speed": float(self.speed), "rotation": float(self.rotation), "delay": self.delay}
         if not self.delay:
             return Steps(settings, step=_label)
         samples = queue(RowType(Labelled, given[0].cells), abs(self.delay) + WITHIN)
@@ -124,12 +119,12 @@ def _label(settings: Record, state: Record, row: Record, out: Record) -> bool:
     u, v, w = float(row.velocity[0]), float(row.velocity[1]), float(row.velocity[2])
     x, y, z = normal
     planar = _length(y * w - z * v, z * u - x * w, x * v - y * u)
-    slip, known = planar > settings.speed, planar < LIMIT
-    if not isnan(settings.rotation):
-        angular = _length(float(row.velocity[3]), float(row.velocity[4]), float(row.velocity[5]))
-        slip, known = slip or angular > settings.rotation, known and not isnan(angular)
+    angular = _length(float(row.velocity[3]), float(row.velocity[4]), float(row.velocity[5]))
     out.speed = planar
-    out.label = (SLIP if slip else STATIC) if known else UNKNOWN
+    if planar < LIMIT and not isnan(angular):
+        out.label = SLIP if planar > settings.speed or angular > settings.rotation else STATIC
+    else:
+        out.label = UNKNOWN
     return True
 
 
