@@ -1,6 +1,5 @@
 """Readings as counts of 16 bits: missing ones, the unloaded start, the resolution and the fingertip."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -122,7 +121,10 @@ def _read(table: RawTable, columns: ColumnMap) -> Reals:
     empty, first = np.isnan(readings).all(axis=0), 0
     for own in columns.cells.values():
         none = np.isnan(readings[:, first : (first := first + len(own))]).all(axis=1)
-        _check_alternation(table, none, own)
+        many, lost = len(none), int(none.sum())
+        if max(10, many // 8) < lost < many and np.count_nonzero(np.diff(none)) > min(lost, many - lost):
+            reason = f"{lost} of {many} rows, between the others, have no reading, as in merged streams"
+            table.add_problem(f"{reason}: leave them out, join the velocity by time (docs/how-to/import.md)")
     for cell in np.flatnonzero(empty).tolist():
         table.add_problem(f"column {names[cell]} has no readings")
     if len({len(each) for each in columns.cells.values()}) > 1:
@@ -130,19 +132,6 @@ def _read(table: RawTable, columns: ColumnMap) -> Reals:
     if not names or empty.any():
         table.stop()
     return readings
-
-
-def _check_alternation(table: RawTable, none: Flags, cells: Sequence[str]) -> None:
-    """Require that rows with and without (`none`) readings do not alternate, as those of merged streams."""
-    many, lost = len(none), int(none.sum())
-    if max(10, many // 8) < lost < many and np.count_nonzero(np.diff(none)) > min(lost, many - lost):
-        reason = (
-            f"column {cells[0]} has no reading in {lost} of {many} rows, in turn with others, as in merged"
-        )
-        remedy = (
-            "leave out rows without readings, and give the others the latest velocity (docs/how-to/import.md)"
-        )
-        table.add_problem(f"{reason} streams: {remedy}", about="alternation")
 
 
 def reals_of(table: RawTable, name: str, columns: ColumnMap) -> Reals:
