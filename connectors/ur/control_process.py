@@ -92,7 +92,7 @@ def serve(
     pipe: Connection, host: str, watchdog: float = WATCHDOG, connect: Callable[[str], Any] = connect
 ) -> None:
     """Execute commands from a pipe until `Signal.END`, an error or silence; main function of the process."""
-    for number in (signal.SIGINT, signal.SIGHUP):  # of a terminal: the commanding process ends this one
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the commanding process ends this one
         signal.signal(number, signal.SIG_IGN)
     try:
         control = connect(host)

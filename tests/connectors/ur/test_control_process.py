@@ -144,7 +144,7 @@ def controlled(_: str) -> MagicMock:
     return MagicMock()
 
 
-def test_a_signal_to_all_processes_of_a_terminal_does_not_end_it() -> None:
+def test_a_signal_to_the_whole_process_group_does_not_end_it() -> None:
     ours, theirs = multiprocessing.Pipe()
     process = multiprocessing.get_context("spawn").Process(
         target=serve, args=(theirs, "robot", 5.0, controlled)
@@ -152,7 +152,7 @@ def test_a_signal_to_all_processes_of_a_terminal_does_not_end_it() -> None:
     process.start()
     assert process.pid
     assert ours.recv() == Reply("ready")
-    for number in (signal.SIGINT, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(process.pid, number)
     ours.send(Signal.END)
     process.join(PATIENCE)
