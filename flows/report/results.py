@@ -144,9 +144,8 @@ def median(metric: str) -> Statistic:
             return np.full(len(weights), np.nan)
         order = np.argsort(values)
         passed = np.cumsum(weights[:, owners[order]], axis=1)  # (draws, k)
-        half = passed[:, -1:] / 2
-        middle = np.array([(passed < half).sum(axis=1), (passed <= half).sum(axis=1)])  # may be the same
-        found = values[order][np.minimum(middle, len(values) - 1)].mean(axis=0)
+        middle = [less(passed, passed[:, -1:] / 2).sum(axis=1) for less in (np.less, np.less_equal)]
+        found = values[order].take(middle, mode="clip").mean(axis=0)
         return np.where(passed[:, -1] > 0, found, np.nan)
 
     return Statistic(of, drawn)

@@ -149,8 +149,7 @@ def judge_all(
         raise InputError("evaluate", "; ".join(f"{name}: {why}" for name, why in missing.items()))
     judged = results.filter(pl.col("method").is_in(names))
     accuracy = estimates(judged, {"accuracy %": SHARES["accuracy %"]}, draws=0)
-    ranked = accuracy.sort("value", descending=True, nulls_last=True)
-    order = ranked["method"].to_list() or names  # nothing is judged
+    order = accuracy.sort("value", descending=True, nulls_last=True)["method"].to_list() or names  # if empty
     return Evaluation(
         subject,
         joined(results.filter(method=name) for name in order),

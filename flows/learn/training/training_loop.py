@@ -176,9 +176,7 @@ def set_seed(seed: int) -> None:
 
 
 def fit(task: TrainingTask, progress: Progress) -> Trained:
-    """Train a network, and keep the weights with the best balanced accuracy on validation.
-
-    If validation lacks slip or static, nothing can be chosen, and the last weights are kept.
+    """Train a network; keep the weights with the best balanced accuracy, the last ones if it is unknown.
 
     Args:
         task: Network to train.
@@ -215,5 +213,4 @@ def _evaluate(task: TrainingTask) -> tuple[float, float | None]:
     task.network.eval()
     with torch.no_grad():
         counts = confusion(*task.predict())
-    mean = float(balanced(counts))
-    return float(accuracy(counts)), None if math.isnan(mean) else mean
+    return float(accuracy(counts)), float(balanced(counts)) if counts.sum(axis=1).all() else None
