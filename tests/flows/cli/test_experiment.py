@@ -1,33 +1,20 @@
 """The command line of `slipflow experiment`."""
 
 import json
-import math
 from pathlib import Path
-from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
 from flows.lab.experiments import study
-from flows.lab.experiments.trial import Outcome
-from tests.command import slipflow
+from operators.errors import InputError
+from tests.command import error, slipflow
 
 ONE = ["--method", "psd:none", "--object", "ball", "--trials", "1", "--jobs", "1"]
 
 
 def no_constant(name: str) -> None:
     raise AssertionError(name)
-
-
-@pytest.fixture
-def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lose the object in each trial, without a simulation."""
-    metrics = {"false_firm": True, "slide": 30.0, "lead": math.nan, "force": math.nan, "peak": 0.5}
-    lost = Outcome("missed", False, metrics)
-
-    def lift(_: Any, setups: list[Any]) -> list[tuple[None, Outcome]]:
-        return [(None, lost)] * len(setups)
-
-    monkeypatch.setattr(study, "EXPERIMENTS", {"lift": lift})
 
 
 def test_a_tap_is_written_as_json_and_as_a_page_that_names_the_command(tmp_path: Path) -> None:
@@ -39,10 +26,8 @@ def test_a_tap_is_written_as_json_and_as_a_page_that_names_the_command(tmp_path:
     assert "nan" not in markdown
 
 
-@pytest.mark.usefixtures("no_simulation")
-def test_a_repeated_object_or_method_leaves_the_intervals_as_they_are(tmp_path: Path) -> None:
-    found = list[Any]()
-    for repeated in ([], ["--object", "ball", "--method", "psd:none"]):
-        slipflow("experiment", "lift", *ONE, *repeated, "--out", tmp_path)
-        found.append(json.loads((tmp_path / "lift.json").read_text())["sections"])
-    assert found[0] == found[1] != {}
+def test_a_repeated_object_or_method_counts_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(study, "run_study", given := Mock(side_effect=InputError("lift", "is enough")))
+    error("experiment", "lift", *ONE, *ONE, "--out", tmp_path)
+    _, methods, trials = given.call_args.args
+    assert (methods, trials.objects) == ([study.Method("psd", "none")], ("ball",))
