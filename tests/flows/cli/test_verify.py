@@ -39,14 +39,6 @@ def test_a_crash_is_reported_repaired_and_noted(dataset: Path) -> None:
     assert (done.returncode, "1 session, 1 file, 5 rows: all data is present" in done.stdout) == (0, True)
 
 
-def test_a_lost_part_is_reported(dataset: Path) -> None:
-    (dataset / "sessions/closed/touch/part-000000.parquet").unlink()
-    done = slipflow("verify", dataset)
-    assert done.returncode == 1
-    assert done.stdout.startswith("lost        closed: ")
-    assert "recorded data is lost" in done.stdout.splitlines()[-1]
-
-
 def test_the_other_sessions_are_repaired_if_one_cannot_be(
     dataset: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
