@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from connectors import SimulatedRig
 from connectors.sim.scene import Move, Scene
 from flows.graph import Flow
-from flows.lab.simulation import planned_recordings
 from flows.learn.evaluation.stress_study import stressed
 from flows.learn.labelled_recordings import (
     TURNS,
@@ -153,17 +152,3 @@ def test_recordings_of_different_known_ranges_are_not_used_together() -> None:
     assert common_fingertip([unknown, known]) == TAKKTILE
     with pytest.raises(FingertipError, match=r"range \(1023, 0\); .*: Pool\(gain=0\.25, unit='count'\)"):
         common_fingertip([unknown, known, finer])
-
-
-def test_a_small_plan_repeats_no_recording_of_a_large_one() -> None:
-    scenes = {plan: {each.seed for each in planned_recordings(plan, 0)} for plan in ("paper", "tiny")}
-    assert not scenes["paper"] & scenes["tiny"]
-
-
-def test_a_piece_has_the_same_samples_of_every_column(tiny: Path) -> None:
-    whole = load(tiny)[0]
-    piece = whole.piece(slice(100, 300))
-    assert len(piece.counts) == len(piece.label) == len(there(piece.valid)) == 200
-    assert piece.counts.tolist() == whole.counts[100:300].tolist()
-    assert (piece.sliding is None) == (whole.sliding is None)
-    assert piece.strokes is None
