@@ -27,7 +27,7 @@ A body is dropped, and no finger presses it any longer, once its centre is furth
 pad than its reach along y or half its width along x. Not modelled: rolling and tilting out of the plane, the
 slope of a ball away from its top, air drag.
 
-Steps are semi-implicit Euler, as in `contact`. The tests compare `simulate` with the same equations in numpy.
+Steps are semi-implicit Euler, as in `contact`.
 """
 
 import math

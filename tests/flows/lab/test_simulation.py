@@ -57,12 +57,7 @@ def test_every_session_is_complete_and_readable(tiny: Path) -> None:
         assert (about["host"], about["start_ns"]) == (None, planned[session.name].start)
         assert session.about["fingertips"] == dict.fromkeys(("touch", "samples"), TAKKTILE.describe())
         assert session.tables == ("touch", "motion", "samples", "episodes", "truth")
-        assert len(session.frame("touch")) == len(session.frame("samples")) > 500
-        assert len(session.frame("motion")) > 1.2 * len(session.frame("touch"))
-        assert len(session.frame("truth")) == len(session.frame("touch"))
         assert about["split"] == planned[session.name].split
-        sources: Any = about["sources"]
-        assert (sources["touch"]["plan"], sources["touch"]["plan_seed"]) == ("tiny", 0)
         scene = planned[session.name].scene
         assert scene
         assert set(session.frame("episodes")["surface"]) == {scene.curvature}
