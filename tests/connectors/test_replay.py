@@ -4,13 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from connectors import Replay
 from flows.graph.testing import TestRecording
 from flows.run.clocks import EventClock
-from operators.batch import Motion, Scores, Touch, concat, ms, s
+from operators.batch import Motion, Scores, Touch, ms, s
 from operators.errors import InputError
 
 
@@ -30,20 +28,6 @@ def replay(source: Replay[Scores], clock: EventClock) -> list[tuple[int, Scores]
         return [(clock.now(), batch) async for batch in source.batches(clock)]
 
     return asyncio.run(main())
-
-
-def rows(batches: list[tuple[int, Scores]], finger: int = 0) -> tuple[list[int], list[float]]:
-    whole = concat(Scores, [batch for _, batch in batches if batch.finger == finger])
-    return whole.time.tolist(), whole.probability.tolist()
-
-
-times = st.lists(st.integers(0, 10**12), min_size=1, max_size=30).map(sorted)
-
-
-@given(times, st.integers(0, 10**15))
-def test_all_rows_are_replayed_with_their_recorded_timestamps(time: list[int], start: int) -> None:
-    replayed = replay(Replay(recorded({0: time}), Scores), EventClock(start))
-    assert rows(replayed) == (time, np.linspace(0, 1, len(time)).tolist())
 
 
 def test_each_row_is_a_batch_when_it_is_due_and_streams_of_one_recording_are_synchronous() -> None:
