@@ -1,11 +1,9 @@
-"""Rules for the code: import contracts, names, sizes, documented errors, light imports, pages."""
+"""Rules for the code: import contracts, names, sizes, light imports, pages."""
 
-import ast
 import re
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import packages_distributions
 from pathlib import Path
@@ -15,14 +13,12 @@ import numpy as np
 import pytest
 
 from flows.graph.testing import check_cuts
-from operators import Operator, Scores, checks, errors
+from operators import Operator, Scores
 from tests.command import succeed
 from tests.pages import PAGES, ROOT, block, blocks
 
 FOLDERS = ("operators", "connectors", "storage", "flows")
 TREE = (*FOLDERS, "deploy", "tests")
-ERRORS = {name for name in vars(errors) if name.endswith("Error")}
-CHECKS = {name for name in vars(checks) if name.startswith("check_")}  # each raises ParameterError
 MODULES = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
 
 
@@ -54,51 +50,6 @@ def test_no_module_is_longer_than_400_lines() -> None:
 def test_module_names_are_unique() -> None:
     counts = Counter(path.name for path in MODULES if path.name != "__init__.py")
     assert {name for name, count in counts.items() if count > 1} == set()
-
-
-def raised(function: ast.AST) -> Iterator[str]:
-    """Yield the slipflow errors that a function raises itself, without those of nested functions."""
-    for node in ast.iter_child_nodes(function):
-        match node:
-            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef() | ast.Lambda():
-                continue
-            case ast.Raise(exc=ast.Call(func=ast.Name(id=name))) if name in ERRORS:
-                yield name
-            case ast.Call(func=ast.Name(id=name)) if name in CHECKS:
-                yield "ParameterError"
-            case _:
-                yield from raised(node)
-
-
-def undocumented(tree: ast.Module) -> Iterator[str]:
-    """Yield the errors of public functions and constructors that are missing from their docstrings."""
-    owners: list[ast.Module | ast.ClassDef] = [tree, *(n for n in tree.body if isinstance(n, ast.ClassDef))]
-    for owner in owners:
-        if isinstance(owner, ast.ClassDef) and owner.name.startswith("_"):
-            continue
-        for node in owner.body:
-            if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                continue
-            constructor = node.name in ("__init__", "__post_init__")
-            if node.name.startswith("_") and not constructor:
-                continue
-            text = (ast.get_docstring(node) or "") + ((ast.get_docstring(owner) or "") if constructor else "")
-            documented = text.partition("Raises:")[2]
-            yield from (
-                f"{getattr(owner, 'name', '')}.{node.name}: {name}"
-                for name in raised(node)
-                if name not in documented and "SlipflowError" not in documented
-            )
-
-
-@pytest.mark.parametrize("folder", FOLDERS)
-def test_public_functions_document_their_errors(folder: str) -> None:
-    found = {
-        path.relative_to(ROOT).as_posix(): list(undocumented(ast.parse(path.read_text())))
-        for path in MODULES
-        if path.is_relative_to(ROOT / folder) and path.parent.name != "cli"  # help texts
-    }
-    assert {path: names for path, names in found.items() if names} == {}
 
 
 def test_all_loggers_are_below_slipflow() -> None:
