@@ -152,3 +152,12 @@ def test_recordings_of_different_known_ranges_are_not_used_together() -> None:
     assert common_fingertip([unknown, known]) == TAKKTILE
     with pytest.raises(FingertipError, match=r"range \(1023, 0\); .*: Pool\(gain=0\.25, unit='count'\)"):
         common_fingertip([unknown, known, finer])
+
+
+def test_a_piece_has_the_same_samples_of_every_column(tiny: Path) -> None:
+    whole = load(tiny)[0]
+    piece = whole.piece(slice(100, 300))
+    assert len(piece.counts) == len(piece.label) == len(there(piece.valid)) == 200
+    assert piece.counts.tolist() == whole.counts[100:300].tolist()
+    assert (piece.sliding is None) == (whole.sliding is None)
+    assert piece.strokes is None
