@@ -2,7 +2,6 @@ import asyncio
 import logging
 import re
 from collections.abc import Callable, Coroutine
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,23 +9,7 @@ import pytest
 from operators import EndpointError
 from storage.background_task import BackgroundTask
 
-ROOT = Path(__file__).parents[2]
 LINE = r" \(test_background_task\.py:\d+\)$"
-# files that await the tasks they start before they return, or repeat what a task did
-AWAITED = {
-    "connectors/gripper/gripper_sink.py",
-    "connectors/mqtt/broker_link.py",
-    "flows/lab/collection/collector.py",
-    "flows/run/live_runner.py",
-    "flows/run/sink_queue.py",  # for live_runner.py
-    "storage/background_task.py",
-    "storage/dataset.py",  # the next write repeats a commit that failed
-}
-THREADS = {  # errors are raised; ignored; the thread ends the process
-    "connectors/takktile/scanner.py",
-    "flows/cli/live_view.py",
-    "flows/run/executor.py",
-}
 
 
 async def fail() -> None:
@@ -86,14 +69,3 @@ async def test_the_end_of_a_task_is_no_failure(caplog: pytest.LogCaptureFixture)
         task.check()
     assert asyncio.get_running_loop().time() == pytest.approx(1.0)
     assert not caplog.records
-
-
-def test_every_task_and_thread_that_is_not_awaited_is_a_background_task() -> None:
-    files = [path for name in ("connectors", "flows", "storage") for path in (ROOT / name).rglob("*.py")]
-    text = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in files}
-    tasks = {
-        name for name, code in text.items() if re.search(r"create_task\(|ensure_future\(|TaskGroup", code)
-    }
-    threads = {name for name, code in text.items() if re.search(r"\bThread\(", code)}
-    assert tasks == AWAITED
-    assert threads == THREADS
