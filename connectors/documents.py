@@ -6,7 +6,6 @@ import msgspec
 from msgspec import Meta
 
 from operators.errors import InputError
-from operators.ports import Json
 
 INT64: Final = 2**63 - 1
 MESSAGE_MAX: Final = 64 * 1024  # bytes
@@ -32,13 +31,9 @@ class Document(msgspec.Struct, frozen=True):
 
     def __post_init__(self) -> None:
         """Reject other characters; `decode` adds the path."""
-        for name, value in self.values().items():
+        for name, value in msgspec.structs.asdict(self).items():
             if isinstance(value, str) and not value.isprintable():
                 raise ValueError(f"`{name}` must be printable text")
-
-    def values(self) -> dict[str, Json]:
-        """Return the fields by name."""
-        return msgspec.structs.asdict(self)
 
 
 def decode(payload: bytes, kind: type[T], where: str, *, largest: int = MESSAGE_MAX) -> T:

@@ -126,7 +126,7 @@ class Event(Document, frozen=True, kw_only=True):
             raise InputError(where, f"source is {document.source!r:.60}, must be {must_be}")
         event = replace(document.data, site=unquote(parts[1]), rig=unquote(parts[2]))
         for name, expected in event.envelope().items():
-            if (found := document.values()[name]) != expected:
+            if (found := getattr(document, name)) != expected:
                 raise InputError(where, f"{name} is {found!r:.60}, must be {expected!r}")
         return event
 

@@ -95,9 +95,8 @@ def _argument_type(value: object) -> Any:
 def content_name(function: FunctionType, names: dict[FunctionType, str]) -> str:
     """Return the name of a compiled function, the key in the cache: it depends on all that is compiled in."""
     if function not in names:
-        code = function.__code__
-        text, loaded = _contents(code)
-        read = [_content(function.__globals__.get(name), names, code.co_names) for name in loaded]
+        text, loaded = _contents(function.__code__)
+        read = [_content(function.__globals__.get(key), names, function.__code__.co_names) for key in loaded]
         parts = [function.__module__, text, *loaded, *read]
         names[function] = f"{function.__name__}_{zlib.crc32(repr(parts).encode()):x}"
     return names[function]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
+from msgspec.structs import asdict
 
 from connectors.events import Event, Fault, Model, encode, faults, finger_name, slips, timestamp
 from connectors.mqtt.broker import Broker, Message
@@ -63,7 +64,7 @@ class Mqtt(Sink[Slips | Faults]):
         self._topic = rig_topic("Mqtt", self.site, self.rig)
         self._path = outbox_path(self.site, self.rig) if self.outbox is None else Path(self.outbox)
         try:
-            self._model = msgspec.convert(Model(**{"id": "unknown", **self.model}).values(), Model)
+            self._model = msgspec.convert(asdict(Model(**{"id": "unknown", **self.model})), Model)
         except (TypeError, ValueError):
             must_be = "a mapping with a printable id and a sha256 of 64 digits 0-9 a-f"
             raise ParameterError("Mqtt", "model", dict(self.model), must_be) from None
@@ -223,7 +224,7 @@ class Mqtt(Sink[Slips | Faults]):
             "refused": self._sender.refused,
         }
         faults: dict[str, Json] = {
-            finger: [each.values() for each in self._degraded(finger)] for finger in self._faults
+            finger: [asdict(each) for each in self._degraded(finger)] for finger in self._faults
         }
         return self._about_run("health", **health(self._run), degraded=faults, outbox=outbox)
 

@@ -56,8 +56,8 @@ def show(
     detector = detector or _fitting(opened)
     asyncio.run(_show(opened, detector, server, browse=not no_browser))
     if detector == _NONE:
-        alone = opened.folder.absolute()
-        dataset = alone.parent.parent if alone.parent.name == SESSIONS else alone
+        folder = opened.folder.absolute()
+        dataset = folder.parent.parent if folder.parent.name == SESSIONS else folder
         note(f"next: slipflow train {quote(str(dataset))} -o {quote(dataset.name)}.safetensors")
 
 
