@@ -10,8 +10,7 @@ from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training import trainer
 from flows.learn.training.dense_training import train_dense
 from flows.learn.training.recipe import Recipe
-from flows.learn.training.trained_model import label_scores, provenance, write_model
-from flows.learn.training.trained_model import learned as seen
+from flows.learn.training.trained_model import label_scores, learned, provenance, write_model
 from flows.learn.training.trainer import further
 from operators.detectors import Tcn
 from operators.detectors.weights import Weights
@@ -52,11 +51,6 @@ def arrays() -> Weights:
     return train_dense([stroked(seed) for seed in range(4)], [stroked(4)], recipe).arrays
 
 
-@pytest.fixture(scope="module")
-def learned(arrays: Weights) -> Tcn:
-    return Tcn(arrays)
-
-
 @pytest.fixture
 def parent(arrays: Weights, tmp_path: Path) -> Path:
     card = {"detector": "tcn", "data": provenance([replace(stroked(0), split="train")])}
@@ -74,7 +68,7 @@ def test_few_minutes_improve_a_model_on_what_is_held_out_and_its_card_states_the
     assert scores["after"]["balanced"] > scores["before"]["balanced"]
     assert "NOT better" not in model.report()
     assert model.card["parent"]["id"] == "parent"
-    assert len(seen(model.card, [stroked(0), *given, stroked(2)])) == 3, "the data of the parent, too"
+    assert len(learned(model.card, [stroked(0), *given, stroked(2)])) == 3, "the data of the parent, too"
     assert model.card["recipe"] == asdict(further(parent_network, Recipe(steps=30)))
     assert (len(done), "debounce" in model.card) == (30, True)
     assert isinstance(load_detector(model.path), Tcn)
