@@ -21,7 +21,6 @@ from tests.pages import ROOT, table
 from tests.storage.made import new_batch, record
 
 PAGE = ROOT / "docs" / "reference" / "dataset.md"
-SLIPS = slip(1_700_000_000_000_000_000, 1)
 SCHEMAS: dict[str, Any] = {each.name: schema(each) for each in TABLES}
 
 
@@ -101,13 +100,8 @@ def test_the_page_names_every_table_and_every_kind_of_fault() -> None:
     assert kinds == ", ".join(f"{kind} {kind.name.lower()}" for kind in FaultKind)
 
 
-@pytest.fixture
-def session(tmp_path: Path) -> Path:
-    """A session of a row."""
-    return record(tmp_path, [SLIPS]).folder
-
-
-def test_the_page_has_each_entry_of_the_descriptions(session: Path) -> None:
+def test_the_page_has_each_entry_of_the_descriptions(tmp_path: Path) -> None:
+    session = record(tmp_path, [slip(1_700_000_000_000_000_000, 1)]).folder
     written: dict[str, Any] = json.loads((session / "session.json").read_text())
     rows = table(PAGE, "## dataset.json, session.json, MANIFEST.json")
     assert sorted(row["entry"] for row in rows) == sorted(written)

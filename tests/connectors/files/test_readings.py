@@ -25,12 +25,6 @@ def table(*readings: list[float], dtype: str = "f8") -> pl.DataFrame:
     return pl.DataFrame({"t": np.arange(len(readings[0])) / 100, **cells})
 
 
-def given_back(trace: Trace) -> Reals:
-    """Return the readings that the counts stand for."""
-    readings: Reals = (trace.part.touch.counts + trace.part.offset) * trace.part.resolution
-    return readings
-
-
 finite = st.floats(-1e9, 1e9, allow_nan=False).map(lambda value: round(value, 9))
 
 
@@ -70,7 +64,8 @@ def test_the_resolution_keeps_all_digits_if_it_can(
     trace = Trace(table(readings), columns(unit))
     assert trace.part.resolution == resolution
     assert trace.part.offset.any() == offset
-    assert given_back(trace)[:, 0] == pytest.approx(readings, abs=resolution * 0.51)
+    given_back = (trace.part.touch.counts + trace.part.offset) * resolution
+    assert given_back[:, 0] == pytest.approx(readings, abs=resolution * 0.51)
     fingertip = trace.fingertip(Touch)
     assert fingertip is not None
     assert (fingertip.unit, fingertip.resolution) == (unit, resolution)
