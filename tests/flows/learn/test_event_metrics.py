@@ -25,13 +25,6 @@ def seconds(*stretches: tuple[int, int]) -> list[list[int]]:
     return [[first * PERIOD, last * PERIOD] for first, last in stretches]
 
 
-def test_a_slip_is_a_run_of_the_label() -> None:
-    found = slips(label(400, (150, 200), (300, 340)))
-    assert found.found.tolist() == seconds((150, 199), (300, 339))
-    assert found.tolerated.tolist() == found.found.tolist()
-    assert found.static == (400 - WARM_UP - 90) * PERIOD
-
-
 def test_a_slip_goes_on_over_a_short_pause() -> None:
     pause = PAUSE // PERIOD
     assert slips(label(400, (150, 200), (199 + pause, 250))).found.tolist() == seconds((150, 249))

@@ -19,13 +19,6 @@ def speeds(rows: Truth) -> Reals:
     return sliding_motion(rows).velocity[:, 0]
 
 
-@pytest.mark.parametrize(("static", "slip"), [(13, True), (30, False)])
-def test_a_short_stick_between_two_slides_is_part_of_the_slip(static: int, slip: bool) -> None:
-    sliding = np.zeros(100)
-    sliding[20:30] = sliding[30 + static : 50 + static] = 0.05
-    assert bool((speeds(truth(sliding))[21 : 30 + static] > SLIDING).all()) == slip
-
-
 def test_between_slip_and_rest_the_speed_is_unknown() -> None:
     sliding = np.zeros(100)
     sliding[50:53] = 0.01  # 0.3 mm: less than a slip, more than rest
