@@ -1,5 +1,3 @@
-from typing import Any, cast
-
 import numpy as np
 import torch
 
@@ -11,9 +9,7 @@ COUNTS = torch.arange(8 * 6 * 50, dtype=torch.float32).reshape(8, 6, 50)
 
 
 def _augmented(how: Augmentation, counts: torch.Tensor = COUNTS) -> torch.Tensor:
-    generator = torch.Generator()
-    cast("Any", generator).manual_seed(1)
-    return augmented(counts, how, generator)
+    return augmented(counts, how, torch.Generator().manual_seed(1))
 
 
 def _only(**chances: float) -> Augmentation:
@@ -72,8 +68,7 @@ def _ramp(plan: str) -> LabelledRecording:
 def _stretched(plan: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return the first rows, rows and counts of 64 crops of a ramp, all stretched by up to 3."""
     crops = Crops([_ramp(plan)], 60, torch.device("cpu"))
-    generator = torch.Generator()
-    cast("Any", generator).manual_seed(1)
+    generator = torch.Generator().manual_seed(1)
     first = torch.as_tensor(crops.first)[crops.draw(64, generator)]
     return first, *crops.stretched(first, Augmentation(stretch=1.0, slowest=3.0), generator)
 
