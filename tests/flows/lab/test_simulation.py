@@ -28,16 +28,10 @@ def sessions(dataset: Path) -> list[Session]:
     return [Session.open(path) for path in sorted((dataset / "sessions").iterdir())]
 
 
-@pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulate only the first three recordings of a plan."""
-    monkeypatch.setattr(simulation, "planned_recordings", lambda *plan: planned_recordings(*plan)[:3])
-
-
-@pytest.mark.usefixtures("few")
 def test_the_same_seed_gives_the_same_bytes_in_any_number_of_processes_and_another_seed_others(
-    tmp_path: Path, tiny: Path
+    tmp_path: Path, tiny: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(simulation, "planned_recordings", lambda *plan: planned_recordings(*plan)[:3])
     (tmp_path / "empty").mkdir()
     with workers(2) as executor:
         again = contents(simulate(tmp_path / "empty", "tiny", 0, executor=executor))
