@@ -102,13 +102,7 @@ def made(
 ) -> Made:
     """Collect with a simulated arm, and call `act` 0.5 s after the first contact.
 
-    Args:
-        out: Folder of the dataset.
-        plan: The plan.
-        act: Action; None: none.
-        surface: Shape of the surface.
-        above: Height (m) of the plan's surface above the real one.
-        steady: The arm does not vibrate.
+    The plan's surface is `above` (m) the real one; an arm that is steady does not vibrate.
     """
     truth, sense = list[Truth](), Finger.sense
 
