@@ -37,6 +37,7 @@ READINGS: Final = 4  # of coefficients, until two in a row are equal
 LOST_AFTER: Final = 250 * ms  # ns without a sample, at least three scans
 TIMEOUT: Final = 3.0  # s, for a scan and for the end of the thread
 SHORTEST_WAIT: Final = ms // 5  # ns, between looks at a slow clock
+BACKLOG: Final = 1000  # maximum of scans that wait for the event loop
 _NOT_ACKNOWLEDGED: Final = (errno.EREMOTEIO, errno.ENXIO)  # adapters differ
 _IMPLAUSIBLE: Final = "no cell gives plausible values: unload the fingertips, or replace them"
 _NO_ANSWER: Final = "no fingertip answers: check the power and the rows"
@@ -264,15 +265,16 @@ class ScanThread:
         period, sampled, answered = self._period, self._now(), False
         due = sampled
         while self._wait_until(due):
-            scan = scanner.scan()
-            if scan.valid.any():
-                sampled, answered = self._now(), True
-            else:
-                unplugged = scan.error is not None and scan.error.errno == errno.ENODEV
-                if self._now() - sampled > max(LOST_AFTER, 3 * period) or unplugged:
-                    raise scan.error or OSError(errno.ENODATA, _IMPLAUSIBLE)
-            if answered:  # a sensor without any sample so far is still lost
-                self._pass_on(scan)
+            if len(self._results) < BACKLOG:
+                scan = scanner.scan()
+                if scan.valid.any():
+                    sampled, answered = self._now(), True
+                else:
+                    unplugged = scan.error is not None and scan.error.errno == errno.ENODEV
+                    if self._now() - sampled > max(LOST_AFTER, 3 * period) or unplugged:
+                        raise scan.error or OSError(errno.ENODATA, _IMPLAUSIBLE)
+                if answered:  # a sensor without any sample so far is still lost
+                    self._pass_on(scan)
             due = next_scan(due, self._now(), period)
 
     def _wait_until(self, due: int) -> bool:

@@ -137,6 +137,16 @@ async def test_a_hanging_bus_fails_the_source_and_blocks_one_thread_only(
     assert [record.message for record in caplog.records] == ["/dev/i2c-1: abandoned a blocked thread"]
 
 
+async def test_scans_beyond_the_backlog_are_missed(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("connectors.takktile.scanner.BACKLOG", 5)
+    source = TakkTile(rate=300.0)
+    async with aclosing(stream(source)) as batches:
+        await anext(batches)
+        await asyncio.sleep(0.5)
+        time = [touch.time.item() for touch in await take(batches, 6)]
+    assert time[4] - time[0] < time[5] - time[4]
+
+
 async def test_an_error_of_a_program_follows_older_scans(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(_: Scanner) -> Scan:
         monkeypatch.undo()
