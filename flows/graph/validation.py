@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import Field, fields
 from functools import cache
-from inspect import iscoroutinefunction, isgeneratorfunction, signature
+from inspect import getattr_static, iscoroutinefunction, isgeneratorfunction, signature
 from typing import Any, Final, TypeAlias, cast
 
 import numpy as np
@@ -134,8 +134,7 @@ def _wrong_sources(flow: Flow) -> Iterator[Problem]:
     for node, source in flow.sources().items():
         if isgeneratorfunction(source.batches) or iscoroutinefunction(source.batches):
             yield node.name, "batches must be declared with async def and contain yield"
-        live = source.recording is None  # a recording is read by a run only
-        if live and isinstance(fingers := cast("object", source.fingers), int):
+        if isinstance(fingers := getattr_static(source, "fingers"), int):  # a property may open a recording
             yield node.name, f"fingers is {fingers!r}, must be a tuple, such as (0,)"
 
 

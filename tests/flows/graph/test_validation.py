@@ -194,7 +194,6 @@ def _yield_at_once(self: object, clock: object) -> Iterator[Scores]:
         ("batches", _yield_at_once, "batches must be declared with async def and contain yield"),
         ("batches", Wrong.later, "batches must be declared with async def and contain yield"),
         ("fingers", 0, "fingers is 0, must be a tuple, such as (0,)"),
-        ("fingers", property(lambda self: 2), "fingers is 2, must be a tuple, such as (0,)"),
     ],
 )
 def test_a_source_that_would_fail_in_a_run_is_reported(name: str, value: object, reason: str) -> None:
