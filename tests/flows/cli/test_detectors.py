@@ -28,7 +28,14 @@ def test_evaluate_writes_page_and_tables(tiny: Path, tmp_path: Path) -> None:
 
 HIDING = """
 import sys
-sys.modules.update(dict.fromkeys({hidden}))  # as if they were not installed
+from importlib.machinery import PathFinder
+
+class Hiding(PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        return None if name.partition(".")[0] in {hidden} else super().find_spec(name, path, target)
+
+sys.meta_path[sys.meta_path.index(PathFinder)] = Hiding
 from flows.cli.main import main
 main()
 """
