@@ -102,14 +102,14 @@ def content_name(function: FunctionType, names: dict[FunctionType, str]) -> str:
     return names[function]
 
 
-def _content(value: object, names: dict[FunctionType, str], read: Sequence[str] = ()) -> str:
-    """Return a value that is compiled in as text; of a module or an enumeration, what may be `read` of it."""
+def _content(value: object, names: dict[FunctionType, str], members: Sequence[str] = ()) -> str:
+    """Return a value that is compiled in as text, with the `members` of a module or an enumeration."""
     if isinstance(helper := getattr(value, "py_func", value), FunctionType):
         return content_name(helper, names)
     if isinstance(value, np.ndarray):  # whose repr is shortened
         return f"{value.dtype} {value.shape} {zlib.crc32(value.tobytes()):x}"
-    parts = [getattr(value, name, None) for name in read] if isinstance(value, ModuleType | type) else []
-    known = [_content(each, names) for each in parts if not isinstance(each, FunctionType)]
+    parts = [getattr(value, name, None) for name in members] if isinstance(value, ModuleType | type) else []
+    known = [_content(each, names, members[1:]) for each in parts if not isinstance(each, FunctionType)]
     return _ADDRESS.sub("", repr((value, *known)))
 
 

@@ -1,7 +1,7 @@
 """Slip labels from the arm's motion, and their masking without contact."""
 
 from dataclasses import dataclass
-from math import isfinite, isnan, nan, sqrt
+from math import inf, isfinite, isnan, nan, sqrt
 from numbers import Real
 from typing import Any, Final
 
@@ -121,7 +121,7 @@ def _label(settings: Record, state: Record, row: Record, out: Record) -> bool:
     planar = _length(y * w - z * v, z * u - x * w, x * v - y * u)
     angular = _length(float(row.velocity[3]), float(row.velocity[4]), float(row.velocity[5]))
     out.speed = planar
-    if planar < LIMIT and not isnan(angular):
+    if planar < LIMIT and (settings.rotation == inf or not isnan(angular)):
         out.label = SLIP if planar > settings.speed or angular > settings.rotation else STATIC
     else:
         out.label = UNKNOWN

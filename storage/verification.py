@@ -14,15 +14,7 @@ from storage.description import VersionError, read_dataset, read_session
 from storage.files import locked
 from storage.hand_labels import read_hand_labels
 from storage.journal import journal_files
-from storage.layout import (
-    DAMAGED,
-    MANIFEST,
-    SESSION,
-    check_links,
-    may_exist,
-    named,
-    session_folders,
-)
+from storage.layout import DAMAGED, MANIFEST, SESSION, check_links, may_exist, named, session_folders
 from storage.parts import Part, read_manifest, read_part
 from storage.recovery import Recovery, scratch_files
 
@@ -68,7 +60,7 @@ class Verified:
 
 
 def verify(path: str | Path, progress: Progress = lambda _done, _total, _session: None) -> Verified:
-    """Read and check all files of a dataset, or of one session; nothing is changed.
+    """Read and check all data of a dataset, or of one session, with the newest labels; nothing is changed.
 
     A session that is being recorded is checked up to its last commit. `progress` is called after each file.
 

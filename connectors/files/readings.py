@@ -118,13 +118,7 @@ def _read(table: RawTable, columns: ColumnMap) -> Reals:
             fix = "a whole number (or state a unit, as units.counts=kPa, or a resolution)"
             table.check(name, ~(readings[:, cell] % 1 > 0), fix)
     readings[np.isin(readings, columns.missing or ())] = np.nan
-    empty, first = np.isnan(readings).all(axis=0), 0
-    for own in columns.cells.values():
-        none = np.isnan(readings[:, first : (first := first + len(own))]).all(axis=1)
-        many, lost = len(none), int(none.sum())
-        if max(10, many // 8) < lost < many and np.count_nonzero(np.diff(none)) > min(lost, many - lost):
-            reason = f"{lost} of {many} rows, between the others, have no reading, as in merged streams"
-            table.add_problem(f"{reason}: leave them out, join the velocity by time (docs/how-to/import.md)")
+    empty = np.isnan(readings).all(axis=0)
     for cell in np.flatnonzero(empty).tolist():
         table.add_problem(f"column {names[cell]} has no readings")
     if len({len(each) for each in columns.cells.values()}) > 1:

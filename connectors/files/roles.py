@@ -176,7 +176,8 @@ def cell_groups(names: Sequence[str]) -> list[CellGroup]:
         if whole and prod(map(len, axes)) == len(numbered) <= CELL_LIMIT:
             names, rows = tuple(members[key] for key in numbered), len(axes[0]) if len(axes) > 1 else 0
             sure = bool(_CELL.fullmatch(_word(before)) and _READING.fullmatch(_word(after)))
-            first = words.get(_word(before + after + unit)) if numbered[0] == (1,) else None  # p, p.1, p.2
+            again = numbered[0] == (1,) and before.endswith((".", "_", " "))  # p, p.1, p.2
+            first = words.get(_word(before + after + unit)) if again else None
             groups.append(CellGroup((*filter(None, [first]), *names), rows, sure))
     return groups
 
@@ -271,7 +272,7 @@ def _usual(quantity: str, free: Sequence[str], table: RawTable) -> tuple[str, ..
             table.add_problem(f"{text}; state velocity=...", about=quantity)
         return tuple(each[0] for each in found[:size])
     names = [name for name in free if _has_usual_name(quantity, name)]
-    names = [each for each in names if each != "T" or "t" not in names]  # it may be a temperature
+    names = [each for each in names if each != "T" or "t" not in names]  # T may be a temperature
     if len(names) > 1:
         text = f"columns {' and '.join(names)} may be {quantity}; state one, as {quantity}={names[0]}"
         table.add_problem(text, about=quantity)

@@ -20,7 +20,7 @@ SLOWEST: Final = 5.0  # Hz; a rate outside these limits is implausible
 FASTEST: Final = 5000.0  # Hz
 
 _ENOUGH: Final = 10  # rows from which on a rate is judged
-_COARSE: Final = 0.1, 0.25  # of the rows, and s of their rate: what rows of one time may be
+_COARSE: Final = 0.1  # largest share of the rows that one time may have
 _SHOWN: Final = 5  # parts in an error
 _MOST: Final = 1000  # wraps in a file, or rows out of order
 _LOST: Final = 2.0  # largest ratio of a stated rate and that of the rows, of which some may be lost
@@ -174,7 +174,8 @@ def _rate(table: RawTable, name: str, time: Times, parts: Parts, stated: float |
     shared = np.unique_counts(part)
     most, values = int(shared.counts.max()), len(shared.values)
     rate = rows_per_second(part)
-    if len(part) >= _ENOUGH and most > max(2, min(_COARSE[0] * len(part), _COARSE[1] * (rate or 0.0))):
+    coarse = len(part) / values > max(2.0, (rate or 0.0) / 4)  # steps of more than 0.25 s on average
+    if len(part) >= _ENOUGH and (coarse or most > max(2, _COARSE * len(part))):
         step = f", {np.diff(shared.values).min() / s:g} s apart" if values > 1 else ""
         has = f"only {values} value{'s' * (values > 1)} in {len(part)} rows{step}"
         reason = f"column {name} has {has}: it tells no rate; state time=,rate=... (rows per second)"

@@ -17,18 +17,7 @@ from connectors.events import Slip, encode, finger_name, slips
 from connectors.web.curves import GAP, curve_json, event_json, join_rows, plotted, thin_curve
 from connectors.web.web_server import PAGE_FILES, Handler
 from operators import Debounce
-from operators.batch import (
-    EVERY,
-    Codes,
-    Labelled,
-    Motion,
-    Scores,
-    Slips,
-    Times,
-    Touch,
-    Zeroed,
-    ms,
-)
+from operators.batch import EVERY, Codes, Labelled, Motion, Scores, Slips, Times, Touch, Zeroed, ms
 from operators.errors import InputError
 from operators.ports import Json, Run, Sink
 from storage import HandLabels, LabelSpan, Session

@@ -164,7 +164,7 @@ def usage_error(error: typer.TyperException) -> str:
     context = getattr(error, "ctx", None)  # some errors have no context, which names the command
     if context is not None:
         text += f"{'' if text.endswith('?') else '.'} See {context.command_path} --help"
-    if text.startswith("no such option: --debug"):
+    if text.startswith("no such option: --debug."):
         text = "--debug stands before the command: slipflow --debug COMMAND ..."
     return f"error: {text}"
 

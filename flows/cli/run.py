@@ -132,12 +132,7 @@ def report_run(run: "Run") -> None:
 
 
 def replay_all(
-    target: str,
-    settings: Mapping[str, str],
-    paths: Sequence[Path],
-    *,
-    jobs: int | None,
-    cluster: str | None,
+    target: str, settings: Mapping[str, str], paths: Sequence[Path], *, jobs: int | None, cluster: str | None
 ) -> None:
     """Replay recordings, each to a session of its name, and print the results in their order.
 

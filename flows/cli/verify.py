@@ -28,7 +28,7 @@ def verify(
         bool, typer.Option("--repair", help="First repair sessions whose recorder was killed.")
     ] = False,
 ) -> None:
-    """Read all files of a dataset and report losses and damage.
+    """Read all data of a dataset and report losses and damage.
 
     Compares every file with the manifest: SHA-256, page checksums, rows and times. A recording in progress is
     checked up to its last commit. Changes nothing without --repair, which moves the rows of a killed

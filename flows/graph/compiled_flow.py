@@ -60,8 +60,9 @@ class _Single:
         self.nodes, self.entrances, self._operator = [node], node.inputs, operator
         self._finger, self._gives = finger, cast("type[Batch]", node.gives)
         self._newest = EARLIEST  # ns, time of the last output row
-        self._empty = [each.kind.unpack(np.empty(0, each.packed), finger) for each in given]
         self._keys = [(parent, finger if finger in parent.fingers else EVERY) for parent in node.inputs]
+        rows = zip(given, self._keys, strict=True)
+        self._empty = [each.kind.unpack(np.empty(0, each.packed), of) for each, (_, of) in rows]
 
     def push(self, values: Values) -> list[Delivery]:
         """Run the operator on its inputs."""

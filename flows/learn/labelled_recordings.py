@@ -234,9 +234,9 @@ def load(*datasets: Path) -> list[LabelledRecording]:
     """Read every fingertip of sessions, or of all of datasets, that has samples or labels by hand.
 
     A label by hand replaces the label by arm speed. A session without samples, as without an arm, is read
-    from its touch, with the labels by hand only. These sessions of datasets in which none has a split, as in
-    recordings made by hand, are assigned in the order given, in datasets in that of their names: seven of ten
-    to train, one to validation, two to test.
+    from its touch, with the labels by hand only. Sessions with labels of a dataset in which none has a split
+    are assigned in the order given, in datasets in that of their names: seven of ten to train, one to
+    validation, two to test.
 
     Args:
         datasets: Folders of datasets, or of their sessions.

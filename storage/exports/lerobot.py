@@ -178,13 +178,14 @@ def _common_contents(sessions: Sequence[Session]) -> _Contents:
 
 def _check_scales(tips: Sequence[tuple[Session, Fingertip]]) -> None:
     """Check that the counts of all sessions have one unit, and one direction and range if these are known."""
-    for one, first in sorted(tips, key=lambda each: each[1].range is None)[:1]:
-        for session, tip in tips:
-            same = (tip.unit, tip.resolution) == (first.unit, first.resolution) and first.ratio(tip) == 1
-            if not same or tip.falls not in {None, first.falls}:
-                own, other = (f"steps of {t.resolution:g} {t.unit}, range {t.range}" for t in (tip, first))
-                reason = f"has {own}, but {one.name} has {other}: export them separately"
-                raise InputError(str(session.folder), reason)
+    known = sorted(tips, key=lambda each: each[1].range is None)
+    for session, tip in known:
+        one, first = known[0]
+        same = (tip.unit, tip.resolution) == (first.unit, first.resolution) and first.ratio(tip) == 1
+        if not same or tip.falls not in {None, first.falls}:
+            own, other = (f"steps of {t.resolution:g} {t.unit}, range {t.range}" for t in (tip, first))
+            reason = f"has {own}, but {one.name} has {other}: export them separately"
+            raise InputError(str(session.folder), reason)
 
 
 def _all_finite(values: NDArray[np.floating[Any]]) -> Flags:
@@ -217,8 +218,10 @@ def _frames(session: Session, rate: int, contents: _Contents) -> tuple[Values, T
     samples = [_rows(session, Labelled, finger) for finger in contents.fingers]
     half, firsts = s // (2 * rate), [int(each.time[0]) for each in samples]
     latest, last = max(firsts), min(int(each.time[-1]) for each in samples)
-    phases = [(first - latest + half) % (2 * half) - half for first in firsts]  # ns, of the frames' interval
-    begin = latest + sum(phases) // len(phases)  # in the middle of the samples of one instant
+    tip = session.fingertip(Labelled)
+    interval = round(s / tip.rate) if tip else s // rate  # ns, from one sample to the next
+    phases = [(first - latest + interval // 2) % interval - interval // 2 for first in firsts]
+    begin = latest + sum(phases) // len(phases)  # mean time of the samples of one instant
     time = begin + np.arange(max(last - begin, 0) * rate // s + 2) * s // rate  # (n,) the grid
     near = [_nearest(each.time, time, half) for each in samples]
     hands = session.hand_labels()

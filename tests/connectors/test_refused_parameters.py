@@ -30,9 +30,7 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
     Bounds: [{"high": (1, 0, 1)}, {"force": 0}],
     PathFollower: [{"points": [(0.0, 0.0, 0.0)] * 2}],
     Move: [{"rest": -0.1}, {"motion": "translation", "rest": 0.5}],
-    Gripper: [
-        *({"port": 65536}, {"port": "502"}, {"unit": -1}),
-    ],
+    Gripper: [*({"port": 65536}, {"port": "502"}, {"unit": -1})],
     Mqtt: [
         *(
             {level: each}

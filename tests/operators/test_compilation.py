@@ -125,6 +125,7 @@ CHANGES: dict[str, Callable[[int], FunctionType]] = {
     "helper": lambda v: _function(_HELPED, help=_helper(f"x + {v}")),
     "number": lambda v: _reads("GAIN", GAIN=v + 1.0),
     "number in a module": lambda v: _reads("gains.GAIN", gains=_module(GAIN=v + 1.0)),
+    "number in a package": lambda v: _reads("own.gains.GAIN", own=_module(gains=_module(GAIN=v + 1.0))),
     "number in a long table": lambda v: _reads("TABLE[1500]", TABLE=np.arange(3000.0) + v),
     "compiled helper in a module": lambda v: _reads("help.add(1)", help=_module(add=_compiled(f"x + {v}"))),
     "helper of a compiled helper": lambda v: _function(

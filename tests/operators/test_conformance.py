@@ -174,6 +174,7 @@ CASES: Final = [
     Case(DeviceClock(window=2 * s, jump=100 * ms), (_clocked,)),
     Case(DeviceClock(), (_motion,)),
     Case(Label(), (_sample,)),
+    Case(Label(rotation=np.inf), (_sample,)),
     Case(Label(delay=37 * ms), (_sample,)),
     Case(Label(delay=-40 * ms), (_sample,)),
     Case(MaskLifted((0, 0, 0, 0, 0, 0)), (_labelled,)),

@@ -58,6 +58,7 @@ def test_rotation_is_slip_above_its_threshold() -> None:
     assert (_label(Label(), _sample(turning)).label == UNKNOWN).all()
     turning[:, 0], turning[:, 4] = 0.1, np.nan
     assert (_label(Label(), _sample(turning)).label == UNKNOWN).all()
+    assert (_label(Label(rotation=np.inf), _sample(turning)).label == SLIP).all()
 
 
 steps = st.lists(st.sampled_from([0, 1, 5, 10, 10, 10, 35]), min_size=1, max_size=50)

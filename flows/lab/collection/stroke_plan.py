@@ -40,7 +40,7 @@ _RANGES: Final = {  # lowest and highest value of each setting and limit, and it
     "rest": (0, 60, "s"),
     "baseline": (1, 600, "s"),  # `Zero` measures in the first second
     "clearance": (0.003, 0.5, "m"),  # up to 2 mm above the surface counts as contact (`MaskLifted`)
-    "travel_speed": (0.002, 1, "m/s"),  # below `STANDSTILL` an arm counts as arrived 0.5 mm early
+    "travel_speed": (0.002, 1, "m/s"),  # a slower arm counts as arrived up to 0.5 mm early
     "press_speed": (0.002, MAX_SPEED, "m/s"),
     "acceleration": (0.01, 5, "m/s2"),
     "force": (1, 250, "N"),
@@ -73,6 +73,9 @@ class PathSettings:
     def __post_init__(self) -> None:
         _check_ranges(self, self.__slots__)
         slips, turn = 0.25 / self.rotation_acceleration, 6.28 / self.rotation_speed  # s
+        check_at_least(
+            "PathSettings", "rotation_acceleration", self.rotation_acceleration, 0.25 / turn, "rad/s2"
+        )
         check_between("PathSettings", "rotation_time", self.rotation_time, slips, turn, unit="s")
 
 

@@ -10,12 +10,7 @@ import numpy as np
 from scipy.special import expit, logit
 
 from flows.learn.event_metrics import debounce_settings, tuned_on
-from flows.learn.labelled_recordings import (
-    LabelledRecording,
-    by_split,
-    common_fingertip,
-    load,
-)
+from flows.learn.labelled_recordings import LabelledRecording, by_split, common_fingertip, load
 from flows.learn.training.recipe import REAL_TOUCH, PaperRecipe, Recipe
 from flows.learn.training.trained_model import (
     Arrays,
@@ -115,7 +110,7 @@ def train(
         recipe: Settings of the training, of a tcn or of one of the paper's networks.
         start: Name of a shipped tcn, or its file, to train further by a `Recipe`; None: random weights.
         progress: Called after each step; the check is None at most of them.
-        log: Receives a line if the recordings are few.
+        log: Receives a line if the sessions are few.
 
     Raises:
         InputError: if the train extra is missing, a dataset cannot be read or a recording is in two splits;

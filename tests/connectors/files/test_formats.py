@@ -188,8 +188,7 @@ def test_rows_that_share_whole_milliseconds_keep_their_rate_with_a_warning(rate:
 
 def test_a_time_without_unit_is_refused_if_seconds_are_implausible() -> None:
     with pytest.raises(
-        InputError,
-        match=r"column t has no unit, in s its rate is 0.1 Hz; state units.time=ms \(100 Hz\)",
+        InputError, match=r"column t has no unit, in s its rate is 0.1 Hz; state units.time=ms \(100 Hz\)"
     ):
         trace([10 * k for k in range(60)])
     for unit, step in (("us", 10_000), ("ns", 10_000_000)):  # since boot, and not seconds since 1970
@@ -244,6 +243,7 @@ def test_a_stated_rate_that_the_rows_miss_is_a_warning_only_if_gaps_show_the_los
 def test_times_in_whole_seconds_are_refused_and_bursts_are_no_pauses() -> None:
     with pytest.raises(InputError, match="column t has only 30 values in 3000 rows, 1 s apart: it tells no"):
         trace([k // 100 for k in range(3000)])
+    assert trace([30 if 3000 <= k < 3031 else k / 100 for k in range(6000)]).columns.rate == pytest.approx(100)
     assert not any("pauses" in each for each in trace([k // 20 / 5 for k in range(1001)]).warnings)
 
 

@@ -55,6 +55,7 @@ def roles(names: Sequence[str], columns: str = "") -> ColumnMap:
         (("t", *(f"taxel[{k},1]" for k in range(3))), {"counts": ("taxel[0,1]", "taxel[1,1]", "taxel[2,1]")}),
         (("t", *(f"b{i}_{what}" for i in range(3) for what in "PT")), {"counts": ("b0_P", "b1_P", "b2_P")}),
         (("t", "p0 [kPa]", "p1 [kPa]", "T0 [degC]", "T1 [degC]"), {"counts": ("p0 [kPa]", "p1 [kPa]")}),
+        (("t", "s", "s1", "s2"), {"counts": ("s1", "s2")}),
     ],
 )
 def test_usual_names_are_recognised(names: tuple[str, ...], held: dict[str, tuple[str, ...]]) -> None:

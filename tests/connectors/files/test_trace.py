@@ -228,13 +228,6 @@ def test_a_velocity_has_three_or_six_columns_and_precedes_a_speed(write: Write) 
     assert whole.part.motion.velocity.tolist() == [[0.01, 0.02, 0.03, 4, 5, 6]]  # rad/s as it is
 
 
-def test_a_file_without_a_time_is_timed_by_a_rate(write: Write) -> None:
-    path = write(HEADER.removeprefix("t,"), *["1,2,3,4,5,6"] * 4)
-    trace = Trace(path, ColumnMap(rate=30))
-    assert trace.part.touch.time.tolist() == [0, 33_333_333, 66_666_667, 100_000_000]
-    assert trace.part.columns.rate == pytest.approx(30)
-
-
 @pytest.mark.parametrize(
     ("labels", "values", "expected"),
     [

@@ -238,6 +238,7 @@ def test_a_join_sees_rows_that_an_operator_held_back_as_late_as_row_by_row() -> 
 
 class AtMotion(Join[Touch, Motion, Touch]):
     def process(self, left: Touch, right: Motion) -> Touch:
+        assert right.finger == EVERY
         cells = np.resize(left.counts, (len(right), left.cells))
         return Touch.rows(right.time, cells, cells, True, finger=left.finger)
 
@@ -246,8 +247,9 @@ def test_the_empty_batch_of_a_join_has_cells_and_fingertip_of_its_stream() -> No
     flow = Flow("f")
     touch = flow.source(Described(Fingertip(grid(9), 100.0), fingers=(0, 1)))
     (touch & flow.source(TestSource(Motion)) | AtMotion()).to(TestSink())
-    found = outputs(CompiledFlow(flow), [{2: Motion.rows([5], 0, 1, 1)}])
-    assert [(finger, each.cells) for finger, [each] in found.items()] == [(0, 9), (1, 9)]
+    row = Touch.rows([1], np.zeros((1, 9)), 0, True, finger=0)
+    found = outputs(CompiledFlow(flow), [{0: row}, {2: Motion.rows([5], 0, 1, 1)}])
+    assert [(finger, each[-1].cells) for finger, each in found.items()] == [(0, 9), (1, 9)]
 
 
 def passing(kind: type[Batch]) -> Operator[Any, Any]:

@@ -55,10 +55,7 @@ def slides(recording: LabelledRecording) -> NDArray[np.intp]:
 
 
 def test_the_truth_of_a_sample_is_that_of_its_own_instant_even_where_others_were_lost() -> None:
-    whole, thinned = (
-        simulated_recording(SCENE, 3),
-        simulated_recording(stressed(SCENE, "lost", 0.3), 3),
-    )
+    whole, thinned = (simulated_recording(SCENE, 3), simulated_recording(stressed(SCENE, "lost", 0.3), 3))
     assert 0.6 < len(thinned) / len(whole) < 0.8
     assert len(there(thinned.strokes).oblique) == len(thinned)
     kept = slides(thinned)

@@ -49,8 +49,7 @@ def test_a_stroke_slides_through_the_middle_pressed_by_its_depth(place: Pose) ->
         middle = [(a + b) / 2 for a, b in zip(down[:3], slide.poses[0][:3], strict=True)]
         np.testing.assert_allclose(middle, offset_pose(place, (0, 0, STROKES.path.depth))[:3], atol=1e-12)
         forward = offset_pose(
-            (0, 0, 0, *place[3:]),
-            (math.cos(stroke.direction), math.sin(stroke.direction), 0),
+            (0, 0, 0, *place[3:]), (math.cos(stroke.direction), math.sin(stroke.direction), 0)
         )
         np.testing.assert_allclose(
             np.subtract(slide.poses[0][:3], down[:3]), 0.06 * np.array(forward[:3]), atol=1e-12

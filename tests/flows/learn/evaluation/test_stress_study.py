@@ -11,13 +11,7 @@ from flows.learn.evaluation import evaluation_figures, stress_study
 from flows.learn.evaluation.evaluation_report import stress_report
 from flows.learn.evaluation.evaluation_study import Evaluation
 from flows.learn.evaluation.methods import FittedMethod
-from flows.learn.evaluation.stress_study import (
-    FIELDS,
-    NOMINAL,
-    condition_name,
-    every_condition,
-    stress,
-)
+from flows.learn.evaluation.stress_study import FIELDS, NOMINAL, condition_name, every_condition, stress
 from flows.learn.measures import BALANCED
 from flows.report.results import estimates
 from operators import Debounce

@@ -20,10 +20,7 @@ from operators.detectors.frequency_cnn import FrequencyCnn
 from operators.errors import InputError
 from tests.flows.learn.conftest import shaken
 
-DETECTORS: dict[str, Callable[[Arrays], Detector]] = {
-    "frequency_cnn": FrequencyCnn,
-    "paper_tcn": PaperTcn,
-}
+DETECTORS: dict[str, Callable[[Arrays], Detector]] = {"frequency_cnn": FrequencyCnn, "paper_tcn": PaperTcn}
 CPU = torch.device("cpu")
 TWICE = PaperRecipe("paper_tcn", batch=64, epochs=2)
 
