@@ -13,15 +13,15 @@ ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
     "operators": 4_916,
-    "connectors": 10_415,
-    "storage": 3_826,
-    "flows": 12_067,
-    "product": 31_224,
+    "connectors": 10_408,
+    "storage": 3_801,
+    "flows": 12_059,
+    "product": 31_184,
     "product files": 212,
     "tests": 29_170,
     "commands": 16,
     "options": 64,
-    "words": 34_983,
+    "words": 34_982,
 }
 
 
