@@ -85,9 +85,12 @@ def read_manifest(folder: Path, about: Description = UNKNOWN) -> dict[str, Part]
         raise InputError(str(path), f'must have "version": {MANIFEST_VERSION} and a list "parts"; {_FIX}')
     check_identity(path, content, about)
     parts = [_part(f"{path}, part {number}", each) for number, each in enumerate(content["parts"])]
+    listed = {part.path: part for part in parts}
+    if len(listed) < len(parts):
+        raise InputError(str(path), f"lists a part twice; {_FIX}")
     if content.get("sha256") != _digest(",\n".join(part.line for part in parts)):
         raise InputError(str(path), f"is damaged: its sha256 differs from that of its parts; {_FIX}")
-    return {part.path: part for part in parts}
+    return listed
 
 
 def write_part(folder: Path, path: str, rows: pa.Table, *, durable: bool = True) -> Part:
