@@ -49,7 +49,7 @@ def test_each_move_is_an_episode() -> None:
     assert np.isnan([episodes.force[2], *episodes.depth]).all()
 
 
-def test_a_slip_goes_on_through_short_sticks_and_ends_at_a_long_one() -> None:
-    sliding = [0.0] * 5 + [0.05] * 3 + [0.0] * 10 + [0.05] * 2 + [0.0] * 20 + [0.05] + [0.0]
+def test_a_slip_of_half_a_millimetre_goes_on_through_short_sticks_and_ends_at_a_long_one() -> None:
+    sliding = [0.0] * 5 + [0.05] * 3 + [0.0] * 10 + [0.05] * 2 + [0.0] * 20 + [0.05] + [0.0] * 20 + [0.04]
     truth = Truth.rows(np.arange(len(sliding)) * 10 * ms, sliding, 2.0, 0)
     assert true_slips(truth) == [(50 * ms, 190 * ms), (400 * ms, 400 * ms)]
