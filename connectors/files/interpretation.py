@@ -15,7 +15,7 @@ from connectors.files.roles import SLIP_WORD, completed, label_value, label_valu
 from connectors.files.time_axis import time_axis
 from operators.batch import EVERY, SLIP, STATIC, UNKNOWN, Codes, Flags, Motion, Reals, Touch, s
 from operators.errors import InputError
-from operators.fingertip import Fingertip, rows_per_second
+from operators.fingertip import RATE_TOLERANCE, Fingertip, rows_per_second
 
 _MAX_SPEED: Final = 1.0  # m/s; a higher speed in contact is implausible
 _WORDS_SHOWN: Final = 5
@@ -94,8 +94,8 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> lis
             raise InputError(where, "begins a part without readings: delete the part")
         for each in touch.values():  # lost readings leave the rate of the others as it is
             read = each[np.flatnonzero(each.valid.any(axis=1))]
-            slower = (rows_per_second(read.time) or 0.0) < 0.9 * (rows_per_second(each.time) or 0.0)
-            if slower and 8 * len(read) < 7 * len(each):
+            rates = [rows_per_second(time) or 0.0 for time in (read.time, each.time)]  # Hz
+            if rates[0] < (1 - RATE_TOLERANCE) * rates[1] and len(read) < 7 / 8 * len(each):
                 reason = f"only {len(read)} of {len(each)} rows have readings, as in merged streams"
                 remedy = "leave the others out, and join the velocity by time (docs/how-to/import.md)"
                 raise InputError(table.file, f"{reason}: {remedy}")

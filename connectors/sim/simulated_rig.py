@@ -181,11 +181,11 @@ def true_slips(truth: Truth) -> list[tuple[int, int]]:
 
     A slip moves by more than 0.45 mm, as the labels of true sliding demand: 3 mm/s in the mean over 150 ms.
     """
-    at = truth.time[truth.sliding > SLIDING]  # (k,)
-    if not len(at):
+    time, rows = truth.time, np.flatnonzero(truth.sliding > SLIDING)  # (n,), (k,)
+    if not len(rows):
         return []
-    breaks = np.flatnonzero(np.diff(at) > SLIDING_SPAN)
-    spans = zip(at[np.r_[0, breaks + 1]].tolist(), at[np.r_[breaks, -1]].tolist(), strict=True)
-    moved = truth.sliding * np.diff(truth.time, prepend=truth.time[:1])  # (n,) nm
-    during = [(span, (span[0] <= truth.time) & (truth.time <= span[1])) for span in spans]
-    return [span for span, rows in during if moved[rows].sum() > SLIDING * SLIDING_SPAN]
+    breaks = np.flatnonzero(np.diff(time[rows]) > SLIDING_SPAN)
+    spans = zip(rows[np.r_[0, breaks + 1]].tolist(), rows[np.r_[breaks, -1]].tolist(), strict=True)
+    moved = truth.sliding * np.diff(time, prepend=time[:1])  # (n,) nm
+    far = [(begin, end) for begin, end in spans if moved[begin : end + 1].sum() > SLIDING * SLIDING_SPAN]
+    return [(time.item(begin), time.item(end)) for begin, end in far]

@@ -61,8 +61,8 @@ class _Single:
         self._finger, self._gives = finger, cast("type[Batch]", node.gives)
         self._newest = EARLIEST  # ns, time of the last output row
         self._keys = [(parent, finger if finger in parent.fingers else EVERY) for parent in node.inputs]
-        rows = zip(given, self._keys, strict=True)
-        self._empty = [each.kind.unpack(np.empty(0, each.packed), of) for each, (_, of) in rows]
+        streams = zip(given, self._keys, strict=True)
+        self._empty = [each.kind.unpack(np.empty(0, each.packed), of) for each, (_, of) in streams]
 
     def push(self, values: Values) -> list[Delivery]:
         """Run the operator on its inputs."""

@@ -145,7 +145,7 @@ def median(metric: str) -> Statistic:
         order = np.argsort(values)
         passed = np.cumsum(weights[:, owners[order]], axis=1)  # (draws, k)
         middle = [less(passed, passed[:, -1:] / 2).sum(axis=1) for less in (np.less, np.less_equal)]
-        found = values[order].take(middle, mode="clip").mean(axis=0)
+        found = values[order].take(middle, mode="clip").mean(axis=0)  # of both middle ones
         return np.where(passed[:, -1] > 0, found, np.nan)
 
     return Statistic(of, drawn)

@@ -31,11 +31,12 @@ Seconds: TypeAlias = Annotated[float, "s"]
 MAX_SPEED: Final = 0.3  # m/s; above it `Label` gives no label
 MOST: Final = 100  # sessions of one kind on a surface, rounds in a session
 _DIRECTIONS: Final = 8
+_SLIPPING: Final = 0.25  # rad/s, above the slowest slip of `PAPER_LABEL`
 _RANGES: Final = {  # lowest and highest value of each setting and limit, and its unit
     "depth": (0, 0.006, "m"),  # a fingertip yields by a few mm
     "slide_time": (0.01, 60, "s"),
     "rotation_time": (0.01, 60, "s"),
-    "rotation_speed": (0.25, 3, "rad/s"),  # above that of `PAPER_LABEL`
+    "rotation_speed": (_SLIPPING, 3, "rad/s"),
     "rotation_acceleration": (0.01, 5, "rad/s2"),
     "rest": (0, 60, "s"),
     "baseline": (1, 600, "s"),  # `Zero` measures in the first second
@@ -72,11 +73,10 @@ class PathSettings:
 
     def __post_init__(self) -> None:
         _check_ranges(self, self.__slots__)
-        slips, turn = 0.25 / self.rotation_acceleration, 6.28 / self.rotation_speed  # s
-        check_at_least(
-            "PathSettings", "rotation_acceleration", self.rotation_acceleration, 0.25 / turn, "rad/s2"
-        )
-        check_between("PathSettings", "rotation_time", self.rotation_time, slips, turn, unit="s")
+        acceleration, turn = self.rotation_acceleration, 6.28 / self.rotation_speed  # rad/s2, s
+        check_at_least("PathSettings", "rotation_acceleration", acceleration, _SLIPPING / turn, "rad/s2")
+        slipping = _SLIPPING / acceleration  # s, from the start of a rotation
+        check_between("PathSettings", "rotation_time", self.rotation_time, slipping, turn, unit="s")
 
 
 @dataclass(frozen=True, slots=True)
